@@ -16,11 +16,14 @@ __all__ = ["ENDLESS", "Deadline", "OutOfTime", "garbage_collection_paused", "nev
 
 
 class OutOfTime(Exception):
-    """The deadline of a stage has passed and the stage has no result; internal to the package that raises it."""
+    """The deadline of a stage has passed without a result.
+
+    This exception is internal to the package that raises it.
+    """
 
 
 def never_late() -> bool:
-    """Return False; the default of `is_late` without a deadline."""
+    """Return False; this is the default of `is_late` if there is no deadline."""
     return False
 
 

@@ -1,6 +1,7 @@
 """Dense convex quadratic programs of fixed size, solved in place by DAQP [Arnstrom2022].
 
-Construction takes as long as several solutions, so a program is constructed once per size and solved repeatedly.
+The construction of a program takes as long as several solutions, so each size is constructed once and solved
+repeatedly.
 """
 
 from __future__ import annotations
@@ -93,5 +94,5 @@ def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, 
 
 
 def _memory(values: FloatArray) -> memoryview:
-    """Return the memory of an array in its storage order; casadi's buffer keeps the address."""
+    """Return the memory of an array in its storage order; the address is stored in casadi's buffer."""
     return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer

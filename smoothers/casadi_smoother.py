@@ -50,7 +50,7 @@ _ELSEWHERE, _ELSEWHERE_SHARE = 1.0, 0.2
 
 
 class CasadiSmootherParameters(PluginParameters):
-    """Parameters of `CasadiSmoother`; the limits are used only without a problem."""
+    """Parameters of `CasadiSmoother`; its limits apply only if no problem is given or configured."""
 
     max_curvature: float = Field(2.5, gt=0, description="1 / smallest turning radius [1/m]")
     max_curvature_rate: float = Field(10.0, gt=0, description="largest |d curvature / ds| [1/m^2]")
@@ -83,7 +83,7 @@ class CasadiSmoother(Smoother):
 
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
     `optdock.verification`. The order of the gears is kept. Cusps may move, but turns in place keep their positions.
-    Instances can be used in several threads.
+    One instance can be used in several threads.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
@@ -112,7 +112,8 @@ class CasadiSmoother(Smoother):
                 problem is used, with the ends of `path` if they differ. Without a configured problem, the result leads
                 from the first to the last pose of `path` with the footprint and costmaps of the context and the limits
                 of the parameters. The smallest clearance of the result is then at least the smallest clearance of
-                `path`, up to `kept_clearance`. Without a costmap no obstacle is known, and the report has a `warning`.
+                `path`, within the limits of `kept_clearance`. Without a costmap no obstacle is known, and the report
+                has a `warning`.
             warm_start: Earlier result with the same gears, which is returned if it is still certified and no other path
                 is found.
             cancel_checker: Polled in every iteration.
@@ -203,7 +204,7 @@ class CasadiSmoother(Smoother):
         return Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
 
     def warm_up(self) -> None:
-        """Build the programs of a first call, load the solvers, and measure the speed of this machine."""
+        """Build the programs that a first call needs, load the solvers, and measure the speed of this machine."""
         start, goal = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.3, 0.0)
         low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
@@ -223,7 +224,10 @@ class CasadiSmoother(Smoother):
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:
-        """Return the problem between the ends of `path`, with occupied cells up to `reach` [m] around; see `covers`."""
+        """Return the problem from the start to the end of `path`, with the occupied cells within `reach` [m].
+
+        See `covers`.
+        """
         chosen, context = self.parameters, self.context
         if context.footprint is None:
             raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
@@ -257,8 +261,8 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
     """Return the configured problem, with the ends of `path` if they differ.
 
-    At a different start the robot is at rest with free steering. A different end is not a dock: the station is only an
-    obstacle, and no gear, final straight or slow approach is required.
+    If the start differs, the robot is at rest there and its steering is free. If the end differs, it is not a dock: the
+    station is then only an obstacle, and no gear, final straight or slow approach is required.
     """
     if path.start.gap_to(problem.start) > _SAME_POSE:
         problem = problem.starting_at(path.start)
@@ -269,7 +273,7 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
 
 
 def kept_clearance(path: Path, problem: DockingProblem, least: float, most: float) -> ClearanceRule:
-    """Return a rule that requires the smallest clearance of `path` and accepts the clearance at its ends.
+    """Return a clearance rule that requires the smallest clearance along `path` and accepts the clearance at its ends.
 
     Args:
         path: Path.

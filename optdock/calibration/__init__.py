@@ -1,4 +1,4 @@
-"""Calibration: properties of a robot, its sensors and its dock from recorded drives, with confidence intervals."""
+"""Calibration of a robot, its sensors and its dock from recorded drives, with confidence intervals."""
 
 from optdock.calibration.calibrate import Calibration, calibrate
 from optdock.calibration.findings import as_text, as_yaml, written_values

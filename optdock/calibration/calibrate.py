@@ -141,7 +141,7 @@ def _check_docks(recordings: Sequence[Recording]) -> None:
 
 
 def _check_drives(recordings: Sequence[Recording]) -> None:
-    """Check that no drive is given twice, because duplicates would make the intervals too narrow."""
+    """Check that no drive is given twice; duplicates would make the intervals too narrow."""
     seen: dict[bytes, str] = {}
     for one in recordings:
         key = one.times.tobytes() + one.commands.tobytes() + one.twists.tobytes() + one.odometry.tobytes()

@@ -59,7 +59,7 @@ def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
     """Return the distance from the docked pose within which there are no detections.
 
     The upper bound is the range of the nearest detection. The lower bound is the range at which the number of frames
-    without a detection is no longer explained by chance, given the share of frames with a detection farther away.
+    without a detection is no longer explained by chance, given the share of frames with a detection at larger ranges.
     """
     name, unit = "blind distance", "m"
     begins = np.cumsum([0, *(len(one.seen.ranges) for one in motion.of)])

@@ -1,6 +1,6 @@
 """Drive response: latency and first-order lag of speed and yaw rate, dead band of the wheels.
 
-The drive follows the commanded speed after the latency, with a time constant,
+After the latency, the drive follows the commanded speed with a time constant,
 
     speed' = (gain * command(t - latency) - speed) / lag,
 
@@ -175,7 +175,7 @@ def _residuals(axes: list[_Axis], values: FloatArray) -> FloatArray:
 
 
 def _clusters(axes: list[_Axis]) -> IntArray:
-    """Cluster index of each residual."""
+    """Return the cluster index of each residual."""
     return np.concatenate(clusters_of((axis.stamps[axis.first] - axis.stamps[0] for axis in axes), _CLUSTER))
 
 
@@ -192,7 +192,7 @@ def _axis(recording: Recording, name: str, bands: tuple[float, float] = (0.0, 0.
 
 
 def _wheel(recording: Recording, side: float, width: float) -> _Axis:
-    """Drive of one wheel."""
+    """Return the drive of one wheel."""
     along, yaw = recording.path.ways
     lever = 0.5 * side * width
     commands = recording.commands[:, 0] + lever * recording.commands[:, 1]
@@ -208,7 +208,7 @@ def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: 
 
 
 def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
-    """Return the dead band of each wheel: the best fit of the speed below which the wheel does not move [m/s].
+    """Return the dead band [m/s] of each wheel, which is the best fit of the speed below which the wheel does not move.
 
     The interval contains all speeds whose misfit, summed by clusters, is not significantly worse than the best misfit.
 

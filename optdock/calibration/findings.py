@@ -1,4 +1,4 @@
-"""Report of a calibration as text, and as keys of scenarios and settings."""
+"""Report of a calibration as text, and its values under the keys of scenarios and settings."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
 def _settings(known: dict[str, Quantity]) -> dict[str, object]:
     """Return the settings of the executor that depend on a single quantity.
 
-    `odometry_sigma` is omitted. It describes wheels without slip, because the executor models slip separately; without
-    slip, the odometry is more accurate than the detections.
+    `odometry_sigma` is omitted. It applies to wheels without slip, because the executor models slip separately, and
+    without slip the odometry is more accurate than the detections that would have to measure it.
     """
     executor: dict[str, object] = {}
     for key, name in _LEARNED.items():

@@ -1,7 +1,7 @@
 """Localization: spread and jumps of its errors, and the pose of the dock in the map.
 
-A detection and a localization estimate together give the pose of the dock in the map. The dock is the same in all
-recordings; variations of its pose are errors of the localization.
+A detection and a localization estimate together give the pose of the dock in the map. The true pose is the same in all
+recordings, so variations of the computed pose are errors of the localization.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _GUESS = math.log(10.0), math.log(0.003), math.log(0.01)  # drift of AMCL, and n
 
 
 class LocalizationErrors(NamedTuple):
-    """Errors of the localization against the detections.
+    """Errors of the localization, measured by the detections.
 
     Attributes:
         quantities: Spread of position and yaw, rate and size of jumps.
@@ -73,7 +73,7 @@ class Placed(NamedTuple):
 
 
 def docks_in_map(one: Smoothed, delay: float) -> Placed:
-    """Return robot and dock in the map at the times of all detections except wrong ones.
+    """Return the poses of robot and dock in the map at the times of all correct detections.
 
     Args:
         one: Smoothed recording.
@@ -176,7 +176,7 @@ def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
 
 
 def _changes(rows: FloatArray) -> list[tuple[int, float, float]]:
-    """Return the index of each row, the distance between the means before and after, and its sigma per axis [m]."""
+    """Return the index of each row, the distance between the means before and after it, and its sigma per axis [m]."""
     found = []
     for k in range(_SIDE, len(rows) - _SIDE + 1):
         (before, one), (after, other) = _mean(rows[k - _SIDE : k]), _mean(rows[k : k + _SIDE])
@@ -272,7 +272,7 @@ def _spread(
 
 
 class _Process:
-    """Likelihood of the errors of the localization."""
+    """Likelihood function of the localization errors."""
 
     def __init__(self, series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]) -> None:
         number = np.repeat(np.arange(len(series)), [len(rows) for rows in series])

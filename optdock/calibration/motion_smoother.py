@@ -1,6 +1,6 @@
-"""Smoother of recorded motions: corrects the odometry so that a dock at rest is always detected at the same pose.
+"""Smoother of recorded motions, which corrects the odometry by the detections of a dock whose pose is constant.
 
-The increments of the odometry are corrected,
+The increments of the odometry are corrected by
 
     way' = (1 + scale + a) way,    turn' = (1 + turn_scale) turn + drift way + b |way|,
 
@@ -96,7 +96,7 @@ class Seen(NamedTuple):
         sigmas: Estimated standard deviations of x, y [m], yaw [rad], Shape (n, 3).
         ranges: Distance of the docked pose, Shape (n,) [m].
         velocity: Velocity of the dock in the robot's frame, Shape (n, 3) [m/s, m/s, rad/s].
-        residuals: Detected minus expected x, y [m], yaw [rad] in the robot's frame, Shape (n, 3).
+        residuals: Detected minus expected x [m], y [m] and yaw [rad] in the robot's frame, Shape (n, 3).
         leverage: Share of the variance of each residual that the fit has removed, Shape (n, 3).
     """
 
@@ -225,7 +225,7 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
 
 def _variances(x: FloatArray, ranges: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Return variances of correct x, y and yaw, Shape (n, 3); smooth for slightly negative slopes and jitter."""
+    """Return the variances of correct x, y and yaw, Shape (n, 3), extended smoothly to negative slopes and jitter."""
     position, yaw = (np.maximum(x[k] + x[k + 1] * ranges, _LEAST_SIGMA) for k in (0, 2))
     found: FloatArray = np.column_stack((position, position, yaw)) ** 2 + x[4] * velocity**2
     return np.maximum(found, _LEAST_SIGMA**2)
@@ -438,8 +438,8 @@ def relative_poses(frames: FloatArray, poses: FloatArray) -> FloatArray:
 def _combined(solutions: list[_Solution]) -> tuple[FloatArray, FloatArray]:
     """Return the common parameters of all recordings, and their covariance.
 
-    Each standard deviation is the larger of two: the model's, and the scatter between recordings, scaled by Student's
-    t.
+    Each standard deviation is the larger of the model's standard deviation and the scatter between recordings, scaled
+    by Student's t.
     """
     information = np.sum([one.information for one in solutions], axis=0) + np.diag(_PRIOR**-2.0)
     covariance = np.linalg.inv(information)

@@ -1,4 +1,4 @@
-"""Odometry: scales, drift and the errors of wheels that cause them, window of the twist, age of the poses."""
+"""Odometry: scales and drift, the wheel errors that cause them, window of the twist, and age of the poses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a
 def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
     """Return the scales of distances and turns, the turn per metre and the delay of the detections.
 
-    With a track width, also return the errors of the wheels' radii and of the track width.
+    If the track width is known, also return the errors of the wheel radii and of the track width.
 
     Args:
         motion: Smoothed recordings.
@@ -79,7 +79,7 @@ def _missing(name: str, way: float, turned: float, track_width: float) -> str:
 
 
 def odometry_age(recordings: Sequence[Recording]) -> Quantity:
-    """Return the mean age of the newest pose of the odometry in a control cycle [s]."""
+    """Return the mean age [s] of the newest odometry pose in a control cycle."""
     name, unit = "age of the odometry", "s"
     ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
     if not ages:
@@ -92,7 +92,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
 
 
 def twist_window(recordings: Sequence[Recording]) -> Quantity:
-    """Return the time over which the twist is averaged from increments of the odometry [s]."""
+    """Return the time [s] over which increments of the odometry are averaged to obtain the twist."""
     name, unit = "twist window", "s"
     used = [one for one in recordings if len(one.odometry) > 20]
     if not used:
@@ -121,7 +121,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
 class _Increments:
     """Distance and yaw in one recording, computed from the poses and from integrals of the twists.
 
-    Integrals over a span are compared, because increments over a short window are mostly jitter of the stamps.
+    Integrals over a span are compared, because the jitter of the stamps dominates increments over a short window.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -149,6 +149,6 @@ class _Increments:
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    """Cluster indices of the residuals; each part has a linear and an angular residual at every time."""
+    """Return the cluster indices of the residuals; each part has a linear and an angular residual at every time."""
     found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
     return np.concatenate([number for number in found for _ in range(2)])

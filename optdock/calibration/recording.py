@@ -71,7 +71,7 @@ class OdometryPath(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """One drive, with stamps on the clock of the measurements [s] and poses as rows of x, y [m], yaw [rad].
+    """One drive, with stamps [s] on the clock of the measurements, and poses as rows of x [m], y [m], yaw [rad].
 
     Attributes:
         source: File name.
@@ -120,12 +120,12 @@ class Recording(NamedTuple):
 
 
 class ReadFile(NamedTuple):
-    """Content of one file.
+    """Content of one recording, log or run file.
 
     Attributes:
         recording: The drive.
         deviation: Largest lateral [m] and heading [rad] deviation from the path during the docking; None if the file
-            contains no completed docking along a path, or if the log could not be replayed exactly.
+            contains no completed docking along a path, or if the replay of the log gave different commands.
     """
 
     recording: Recording
@@ -157,7 +157,7 @@ def read_recording(source: str | Path) -> ReadFile:
 
 
 def _format_of(source: Path) -> str:
-    """Return the name of the format, from the first line or the whole of a JSON file; empty if there is none."""
+    """Return the name of the format, read from the first line or from the whole JSON file; empty if there is none."""
     text = read_text(source, MostBytes.LOG)
     for part in (text.partition("\n")[0], text):
         try:
@@ -240,8 +240,8 @@ def _log_odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]
 def _log_localization(measured: list[Measurements]) -> FloatArray:
     """Return stamps and poses of the localization, each estimate once.
 
-    Poses without stamps are obtained from transforms in every cycle, as the odometry moved by a correction. Each change
-    of the correction counts as one estimate.
+    Poses without stamps are obtained from transforms in every cycle, which apply a correction to the odometry. Each
+    change of the correction counts as one estimate.
     """
     newest = {one.pose_stamp: one.pose for one in measured if one.pose is not None and one.pose_stamp is not None}
     if newest:
@@ -337,7 +337,7 @@ def _topic(bag: BagRecording, names: tuple[str, ...], kinds: tuple[str, ...], wh
 
 
 def _values(bag: BagRecording, topic: str, convert: Callable[[Message], _Value]) -> Iterator[tuple[float, _Value]]:
-    """Yield times of reception [s] and values of the messages of a topic; errors contain file and topic."""
+    """Yield the times of reception [s] and the values of a topic's messages; errors contain file and topic."""
     for time, message in bag.messages(topic, 0.0, math.inf):
         try:
             value = convert(message)
@@ -352,7 +352,7 @@ def _rows(rows: object, columns: int) -> FloatArray:
 
 
 def _are_rising(stamps: FloatArray) -> BoolArray:
-    """Return whether each stamp is later than all previous stamps, Shape (n,)."""
+    """Return a mask of the stamps that are later than all previous stamps, Shape (n,)."""
     if not len(stamps):
         return np.zeros(0, dtype=np.bool_)
     return np.concatenate(([True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]))

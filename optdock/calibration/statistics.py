@@ -36,7 +36,7 @@ _STEP = 1e-4  # of the scale of a parameter, where its central difference is exa
 
 @dataclass(frozen=True)
 class Quantity:
-    """A property of a robot, estimated from recordings; false if unknown.
+    """A property of a robot, estimated from recordings; its truth value is False if the property is unknown.
 
     Args:
         name: Name in the report.
@@ -74,7 +74,7 @@ def unknown(name: str, unit: str, reason: str, samples: int = 0) -> Quantity:
 
 
 def student(freedom: float) -> float:
-    """Return the half width of the 95 % interval of Student's t [standard deviations]."""
+    """Return the half width of the 95 % interval of Student's t, in standard deviations."""
     from scipy.stats import t
 
     return float(t.ppf(0.5 + 0.5 * _CONFIDENCE, freedom))
@@ -150,7 +150,7 @@ def fit(
     *,
     bounds: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> Fit:
-    """Fit parameters by robust least squares, with intervals valid for residuals correlated within clusters.
+    """Fit parameters by robust least squares, with intervals for residuals that are correlated within clusters.
 
     The loss is soft L1 beyond 2.5 robust standard deviations of the residuals. The covariance is the clustered
     sandwich of [Cameron2015], H^-1 (sum of g g') H^-1 times G / (G - 1), with g the gradient of one of G clusters.

@@ -49,7 +49,7 @@ def _verdict(source: Path, problem: DockingProblem) -> PlanFileVerdict:
     """Return the verdict on a file.
 
     Raises:
-        InvalidFile: If the file cannot be read, breaks its format, or contradicts itself.
+        InvalidFile: If the file cannot be read, violates its format, or contradicts itself.
     """
     from optdock.errors import InvalidFile
     from optdock.io.plan_file import load_plan

@@ -56,7 +56,7 @@ VerboseOption: TypeAlias = Annotated[
 
 
 class _Console(logging.Formatter):
-    """Log format: warnings begin with their level, other records with their module."""
+    """Log format, in which warnings begin with their level and other records with their module."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""
@@ -161,7 +161,7 @@ def checked_positive(option: str, value: float | None, unit: str) -> None:
 
 @contextmanager
 def working(what: str, total: int) -> Iterator[Callable[[str], None]]:
-    """Show a progress bar with the estimated time left on stderr, only on terminals and after two seconds.
+    """Show a progress bar with the estimated remaining time on stderr, only on terminals and after two seconds.
 
     The yielded function advances the bar by one; its argument is the name of the finished item.
     """

@@ -59,7 +59,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
 
 def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
-    """Return the named planner, or the default planners, of which the first has the given parameters.
+    """Return the named planner, or the default planners with the given parameters for the first of them.
 
     Args:
         choice: Result of `plugin_choice`.

@@ -39,7 +39,7 @@ _BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "m
 
 
 class KeyReference(NamedTuple):
-    """Description of one key of a file.
+    """Description of one key of a scenario file or of one plugin parameter.
 
     Attributes:
         key: Dotted name.
@@ -105,7 +105,7 @@ def scenario_schema() -> Schema:
 
 
 def _parameter_models(section: str) -> dict[str, type[BaseModel]]:
-    """Return the parameter models of the installed plugins of a section; skip plugins that cannot be imported."""
+    """Return the parameter models of a section's installed plugins, except plugins that cannot be imported."""
     kind = plural(section)
     found: dict[str, type[BaseModel]] = {}
     for plugin in available_plugins():

@@ -48,7 +48,7 @@ class Scenario:
         controller: Controller for `optdock simulate`.
         goal_checker: Goal checker for `optdock simulate`.
         source: The file.
-        default_limits: Names of the motion limits that the file does not give; they have the defaults of
+        default_limits: Names of the motion limits that are missing in the file; these limits have the defaults of
             `MotionLimits`.
     """
 
@@ -84,8 +84,8 @@ def load_scenario(source: str | Path) -> Scenario:
     """Read a scenario file, format `optdock-scenario/1`.
 
     Raises:
-        InvalidFile: If the file cannot be read or breaks the format; the message lists every fault on its own line with
-            file, line, key, value and rule.
+        InvalidFile: If the file cannot be read or violates the format. The message has one line per fault, with file,
+            line, key, value and rule.
     """
     source = Path(source)
     located = load_yaml(source)
@@ -122,7 +122,7 @@ def _document(value: Mapping[str, object], faults: list[Fault]) -> ScenarioDocum
 
 
 def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
-    """Return the costmap of a map, with a path relative to the scenario; None if there is no map or it has faults."""
+    """Return the costmap of a map whose path is relative to the scenario; None if there is no map or it has faults."""
     if not isinstance(name, str):
         return None
     try:
@@ -136,7 +136,7 @@ def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Docum
     """Return the problem, and check the rules that relate its parts.
 
     Raises:
-        InvalidFile: If such a rule is broken.
+        InvalidFile: If such a rule is violated.
     """
     try:
         return problem_of(document, costmap)

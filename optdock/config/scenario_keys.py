@@ -1,8 +1,8 @@
 """Models of a scenario file, `optdock-scenario/1`: keys, types, defaults and values.
 
-The rules are checked by the constructors of the values; the models call them key by key, so that every fault is
-reported. The scenario reference and the JSON schema in `optdock.config.reference` are generated from the descriptions
-of the keys (`_key`), which end with the unit in brackets.
+The rules are checked by the constructors of the values. The models call these constructors key by key, so that every
+fault is reported. The scenario reference and the JSON schema in `optdock.config.reference` are generated from the
+descriptions of the keys (`_key`), which end with the unit in brackets.
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ class LimitsDocument(_LimitKeys):
         return self
 
     def value(self) -> MotionLimits:
-        """The limits."""
+        """Motion limits that the keys define."""
         return MotionLimits(**self.model_dump())
 
 
@@ -263,7 +263,7 @@ class TrackingDocument(_Part):
         return value
 
     def value(self) -> TrackingTube:
-        """The tube."""
+        """Tracking tube that the keys define."""
         return TrackingTube(self.cross, self.yaw)
 
 
@@ -290,7 +290,7 @@ class CameraDocument(_Part):
         return self
 
     def value(self) -> Camera:
-        """The camera."""
+        """Camera that the keys define."""
         return Camera(**dict(self))
 
 
@@ -343,7 +343,7 @@ class RobotDocument(_Part):
         return self
 
     def value(self) -> Robot:
-        """The robot."""
+        """Robot that the keys define."""
         outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
         camera = None if self.camera is None else self.camera.value()
         drive, tracking = self.drive, self.tracking.value()
@@ -411,7 +411,7 @@ class DockDocument(_Part):
         return self
 
     def value(self) -> Dock:
-        """The dock."""
+        """Dock that the keys define."""
         return Dock(**dict(self))
 
 
@@ -434,7 +434,10 @@ class StartDocument(_Part):
 
     @property
     def known_curvature(self) -> float | None:
-        """Start curvature of the path [1/m]. If it is not given: None (free) at rest, 0 in motion."""
+        """Start curvature of the path [1/m].
+
+        If the key is missing, the value is None (free) at rest and 0 in motion.
+        """
         return 0.0 if self.curvature is None and self.speed != 0.0 else self.curvature
 
 
@@ -472,7 +475,7 @@ class ClearanceDocument(_Part):
         return self
 
     def value(self) -> ClearanceRule:
-        """The clearance rule."""
+        """Clearance rule that the keys define."""
         return ClearanceRule(self.required, self.at_dock, self.taper, self.dock_run, self.at_start)
 
 

@@ -45,9 +45,9 @@ def save_scenario(
 ) -> tuple[Path, ...]:
     """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    Reading the file gives the same problem with identical numbers. The file refers to `map_source` if the same cells
-    are occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and
-    NAME_map.pgm. Default motion limits of the scenario are not written.
+    When the file is read, the result is the same problem with identical numbers. The file refers to `map_source` if the
+    same cells are occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml
+    and NAME_map.pgm. Default motion limits of the scenario are not written.
 
     Args:
         target: The file.
@@ -62,8 +62,8 @@ def save_scenario(
 
     Raises:
         InvalidFile: If a file cannot be written.
-        InvalidValue: If the problem has free unknown cells or tolerances of the dock, which have no key in a scenario
-            file.
+        InvalidValue: If unknown cells are free in the problem or the dock has non-default tolerances, for which a
+            scenario file has no key.
     """
     target, problem = Path(target), scenario.problem
     _check_supported(problem)
@@ -179,7 +179,7 @@ def _start(problem: DockingProblem) -> dict[str, object]:
 
 
 def _section(choice: PluginChoice | tuple[PluginChoice, ...]) -> dict[str, object]:
-    """Return the section of a plugin; for several planners, the parameters of the first planner without its name."""
+    """Return the section of a plugin; of several planners, the parameters of the first planner without its name."""
     if isinstance(choice, tuple):
         return dict(choice[0].parameters) if len(choice) > 1 else _section(choice[0])
     return {"plugin": choice.name, **choice.parameters}

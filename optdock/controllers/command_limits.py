@@ -1,14 +1,14 @@
-"""Limits on commands: the reachable command nearest to the desired command, within limits up to the jerk.
+"""Limits on commands: the reachable command nearest to the desired command, within all limits up to the jerk.
 
-The speed passes through a second-order limiter. A reachable command is not changed, so a feed-forward within the limits
-has no lag. Otherwise the acceleration changes by no more than the jerk limit, and decreases early enough that the speed
-reaches the desired speed without overshoot: at a difference d, the acceleration relative to the feed-forward is at most
-sqrt(2 jerk d).
+The speed passes through a second-order limiter. The limiter does not change a reachable command, so a feed-forward
+within the limits is not delayed. Otherwise, the change of the acceleration is within the jerk limit. The acceleration
+decreases early enough for the speed to reach the desired speed without overshoot: at a speed difference d, the
+acceleration relative to the feed-forward is at most sqrt(2 jerk d).
 
 A limit that depends on both speed and turn (wheel speeds, lateral acceleration, yaw rate of steered wheels) is checked
-over the time in which a positive acceleration decreases to zero at the largest jerk, while the turn decreases. A
-command is accepted only if speed and turn keep the limit during this time, so that a next command exists. Otherwise the
-speed is reduced first, then the turn.
+over the time in which a positive acceleration decreases to zero at the largest jerk; the turn also decreases during
+this time. A command is accepted only if speed and turn satisfy the limit during this time, which ensures that a next
+command exists. Otherwise the speed is reduced first, then the turn.
 
 The lateral jerk is limited only by the rate of change of the turn, and the limits above have priority. Braking in a
 bend also has priority, because its lateral jerk could only be compensated by leaving the bend.
@@ -139,7 +139,7 @@ class CommandLimiter:
         return command
 
     def _between(self, period: float) -> float:
-        """Return the time between the middles of the last and the present period [s]."""
+        """Return the time [s] between the middles of the last and the present period."""
         return 0.5 * (period + (self._period or period))
 
     def _slope(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
@@ -176,7 +176,7 @@ class CommandLimiter:
         return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration, reduced to the limits shared with the turn as far as the jerk allows."""
+        """Return the acceleration, reduced to the limits on speed and turn as far as the jerk limit permits."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
         speed = forward * self.command.linear  # negative: the speed decreases towards rest
         top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
@@ -226,7 +226,7 @@ class CommandLimiter:
 
 
 class _Turn(NamedTuple):
-    """Reachable yaw rate, or curvature of steered wheels: the nearest to the desired value, and the smallest.
+    """Reachable yaw rates, or curvatures of steered wheels: the value nearest to the desired one, and the smallest.
 
     `fade` is the rate at which the magnitude can decrease later.
     """
@@ -238,7 +238,7 @@ class _Turn(NamedTuple):
 
 
 def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limits: MotionLimits) -> float:
-    """Return the largest turn up to `turn.wanted` that the speed allows, now and while the acceleration decreases."""
+    """Return the largest turn up to `turn.wanted` that the speed permits, now and while the acceleration decreases."""
     speed, rise = math.copysign(1.0, slope) * linear, abs(slope) - 0.5 * limits.max_jerk * period
     both = ((speed, rise),) if speed >= 0.0 else ((speed, rise), (-speed, 0.0))
     amount = _largest(
@@ -250,7 +250,7 @@ def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limi
 
 
 def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
-    """Whether a command keeps the limits shared by speed and turn, now and while both decrease as fast as possible.
+    """Whether a command satisfies the limits on speed and turn, now and while both decrease as fast as possible.
 
     `rise` is the acceleration at the end of the period; `speed` and `rise` are positive in the direction of this
     acceleration. `amount` is the magnitude of the turn.
@@ -280,7 +280,8 @@ def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionL
 def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> float:
     """Return the maximum of v(t)^power (c - d t), t >= 0, with v(t) = v + u t - jerk t^2 / 2, while v rises.
 
-    Its logarithm is concave. At the maximum, power v' (c - d t) = d v holds, which is a quadratic equation in t.
+    The logarithm of the function is concave. At the maximum, power v' (c - d t) = d v holds, which is a quadratic
+    equation in t.
     """
     (v, u, jerk), (c, d) = speed, turn
     now = max(v, 0.0) ** power * c
@@ -306,7 +307,7 @@ def _rise_to(gap: float, jerk: float, period: float) -> float:
 
 
 def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the largest value in [low, high] that fits, by bisection; `low` if no value fits."""
+    """Return the largest value in [low, high] that satisfies `fits`, by bisection; `low` if there is none."""
     if high <= low or fits(high):
         return max(low, high)
     for _ in range(_HALVINGS):
@@ -316,7 +317,7 @@ def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
-    """Return the full braking distance from a speed and an acceleration along the direction of travel [m]."""
+    """Return the full braking distance [m] from a speed and an acceleration along the direction of travel."""
     if v <= 0.0 or (a < 0.0 and 2.0 * limits.max_jerk * v <= a * a):
         return 0.0
     state = 0.0, v, a
@@ -350,8 +351,8 @@ def smooth_slope(
     """Return the slope in the next period of a value that has to reach and follow a moving target.
 
     The slope relative to the target is limited so that it can decrease to zero with the part of `jerk` that the jerk of
-    the target does not use. The limit is instead the slope at which the value arrives when the jerk of the target ends,
-    if this slope is larger.
+    the target does not use. If the slope at which the value arrives when the jerk of the target ends is larger, this
+    slope is the limit instead.
 
     Args:
         missing: Difference of target and value before the period.
@@ -409,7 +410,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """Return the yaw rate nearest to `angular` within the lateral jerk, at most max(|`angular`|, |last yaw rate|)."""
+    """Return the yaw rate nearest to `angular` within the lateral jerk; at most max(|`angular`|, |last yaw rate|)."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period
@@ -430,7 +431,7 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
 
 
 def _on_its_arc(wanted: Twist2, linear: float, curvature: float) -> float:
-    """Return the yaw rate at the speed `linear` that keeps the curvature of `wanted`, if the speeds are similar."""
+    """Return the yaw rate at the speed `linear` that preserves the curvature of `wanted`, if the speeds are similar."""
     share = linear / wanted.linear if wanted.linear != 0.0 else 1.0
     return _bent(Twist2(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0)), curvature).angular
 

@@ -39,8 +39,8 @@ class ControlClock:
         now: Stamp of the last call [s]; None before the first call.
         elapsed: Time between the last two calls [s], at most half a second.
         period: Filtered period, the estimate of the next period [s].
-        learnt: Whether the last call was the first one with a measured period.
-        silent: Whether the last call was the first, or came after more than half a second.
+        learnt: Whether the last call was the first call with a measured period.
+        silent: Whether the last call was the first call, or came more than half a second after the previous call.
     """
 
     def __init__(self) -> None:
@@ -111,7 +111,7 @@ class DelayEstimate:
 
     @property
     def latency_and_lag(self) -> tuple[float, float]:
-        """Latency and lag [s]: the delay, split in the same ratio as in the best model."""
+        """Latency and lag [s]: the delay, divided in the same ratio as in the best model."""
         whole = float(_DELAYS.flat[self._best])
         lag = self.delay * float(_LAGS[self._best % _LAGS.size]) / whole if whole > 0.0 else 0.0
         return self.delay - lag, lag

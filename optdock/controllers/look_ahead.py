@@ -1,4 +1,4 @@
-"""Collision check of a command: checks the footprint along the motion to a stop against the obstacles of the context.
+"""Collision check of a command: the footprint along the motion to a stop is checked against the obstacles.
 
 The motion consists of the commands that the drive has not yet executed, one period of the new command, and braking.
 """
@@ -39,7 +39,7 @@ class Obstruction(NamedTuple):
 
 
 def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:
-    """Return poses along successive arcs from `pose`, each a velocity and its duration [s]. Shape (n, 3)."""
+    """Return poses along successive arcs from `pose`; each arc is a velocity and a duration [s]. Shape (n, 3)."""
     radius, poses = footprint.circumscribed_radius, [(pose.x, pose.y, pose.yaw)]
     for twist, duration in phases:
         reach = duration * (abs(twist.linear) + radius * abs(twist.angular))
@@ -52,7 +52,7 @@ def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, 
 
 
 class LookAhead:
-    """Search for obstacles along motions, with a cache of the obstacles around the robot until they change."""
+    """Search for obstacles along motions; the obstacles around the robot are cached until they change."""
 
     def __init__(self) -> None:
         self._around: _Around | None = None
@@ -60,18 +60,18 @@ class LookAhead:
     def obstruction(
         self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
     ) -> Obstruction | None:
-        """Return the obstacle that the footprint enters deepest along a motion; None without a collision.
+        """Return the obstacle that the footprint penetrates deepest along a motion; None without a collision.
 
         If the robot overlaps an obstacle at the first pose, the depth must not increase. Contact with the station is
-        intended, and so is contact near a pose of `contacts` with the obstacles touched at that pose. Intended contact
-        may be as deep as `tolerance`.
+        intended. Near a pose of `contacts`, contact with the obstacles touched at that pose is also intended. Intended
+        contact may be as deep as `tolerance`.
 
         Args:
             context: Footprint and obstacles; without a footprint nothing is checked.
             way: Poses along the motion, Shape (n, 3).
             contacts: Poses at which the robot may touch obstacles, Shape (k, 3).
-            tolerance: Largest depth that is allowed for an intended contact, for noise and a compliant bumper [m].
-            noise: Largest apparent depth in any obstacle that noise of the poses can cause [m].
+            tolerance: Largest depth [m] allowed for an intended contact, to cover noise and a compliant bumper.
+            noise: Largest apparent depth [m] in an obstacle that can result from noise of the poses.
         """
         footprint = context.footprint
         if footprint is None:
@@ -124,7 +124,7 @@ class _Grid:
         self._obstacles = ObstacleSet.empty()
 
     def obstacles(self) -> ObstacleSet:
-        """Return the obstacles of the present cells."""
+        """Return the obstacles that the present cells form."""
         cells = self._grid.data[self._window]
         if self._cells is None or not np.array_equal(cells, self._cells):
             self._cells = cells.copy()
@@ -133,7 +133,7 @@ class _Grid:
 
 
 class _Around:
-    """Obstacles of a context in a box."""
+    """Obstacles of a context that lie in a box, cached until they change."""
 
     def __init__(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> None:
         self.context, self._lower, self._upper = context, lower, upper
@@ -146,7 +146,7 @@ class _Around:
         self._all = self._fixed
 
     def contains(self, lower: FloatArray, upper: FloatArray) -> bool:
-        """Whether a box lies inside."""
+        """Whether a given box lies inside this box."""
         return bool(np.all(self._lower <= lower) and np.all(upper <= self._upper))
 
     def obstacles(self) -> ObstacleSet:

@@ -1,6 +1,7 @@
 """The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
 
-A new trajectory may take over in motion: the reference then changes to the beginning of the new trajectory.
+A new trajectory may take over while the robot moves; the reference then continues at the beginning of the new
+trajectory.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1
 
 
 class ReferenceProgress(NamedTuple):
-    """Progress of a controller.
+    """Progress of a controller along its trajectory.
 
     `time`: time of the reference on the clock of the last given trajectory [s]; negative until its takeover.
     `rate`: rate of the reference [1].
@@ -102,7 +103,7 @@ class TrajectoryReference:
     The commands are ahead of the reference by a preview that compensates the delay of the drive. If the preview or the
     rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate and
     every acceleration by its square. A change of rate adds `speed * d rate/dt`. The change begins and ends smoothly,
-    and is bounded so that the sum `rate^2 * acceleration + speed * d rate/dt` keeps the limits.
+    and is bounded so that the sum `rate^2 * acceleration + speed * d rate/dt` satisfies the limits.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -141,8 +142,8 @@ class TrajectoryReference:
         """Schedule a takeover by `trajectory` in `lead` seconds, and cancel later takeovers.
 
         The point of the takeover on the trajectory is determined by the present rate. If the rate changes later, the
-        time of the takeover changes, and the reference does not jump. A reference at rest changes at once and waits at
-        the new start.
+        time of the takeover changes, and the reference does not jump. A reference at rest changes immediately and waits
+        at the new start.
         """
         if self.rate == 0.0 or lead <= 0.0:
             self._joints.clear()
@@ -204,7 +205,7 @@ class TrajectoryReference:
         return trajectory, time
 
     def peak_yaw_acceleration(self) -> float:
-        """Return the largest yaw acceleration, at rate 1, of the commands now and in the next 0.3 s [rad/s^2]."""
+        """Return the largest yaw acceleration [rad/s^2], at rate 1, of the commands now and in the next 0.3 s."""
         shown, time, _ = self._at(self._preview)
         ahead = np.clip(time + _LOOK_AHEAD, 0.0, shown.duration)
         return float(np.max(np.abs(shown.sample_at(ahead).yaw_acceleration)))
@@ -239,14 +240,14 @@ class TrajectoryReference:
 
     @staticmethod
     def _place(trajectory: Trajectory, time: float) -> float:
-        """Return the distance along a trajectory at a time on its clock [m]."""
+        """Return the distance [m] along a trajectory at a time on its clock."""
         return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of the first gear if the robot is not at the start.
 
-        At the first rate the reference is no faster than the robot, whose speed is `linear` [m/s]. From rest, the
-        reference begins later by the drive's `delay` [s], so that no command is omitted.
+        At the first rate the reference is no faster than the robot, whose speed is `linear` [m/s]. If the robot is at
+        rest, the reference begins later by the drive's `delay` [s], so that no command is omitted.
         """
         grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times
@@ -331,7 +332,7 @@ def _next_rest(trajectory: Trajectory, s: float) -> float:
 
 
 def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, float]:
-    """Return gear and turn of a `ReferenceState`."""
+    """Return the gear and the turn of a `ReferenceState`."""
     path, speed = trajectory.path, float(row.speed[0])
     gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
     return gear, math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
@@ -361,13 +362,13 @@ def peaks(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the bounds of d rate/dt [1/s] within which playback keeps the acceleration and deceleration limits."""
+    """Return the bounds of d rate/dt [1/s] within which playback satisfies acceleration and deceleration limits."""
     rise, fall = limits
     return min(0.0, -(fall + acceleration) / speed), max(0.0, (rise - acceleration) / speed)
 
 
 def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: MotionLimits, drive: Drive) -> float:
-    """Return the largest rate [1] that leaves a share of the yaw acceleration (proportional to rate^2) to feedback.
+    """Return the largest rate [1] that reserves a share of the yaw acceleration (proportional to rate^2) for feedback.
 
     Args:
         reference: The moving reference.
@@ -384,5 +385,5 @@ def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: Mot
 
 
 def waiting_rate(lag: float, slow_down_lag: float, stop_lag: float) -> float:
-    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 above `stop_lag` [m], linear between."""
+    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 above `stop_lag` [m], linear in between."""
     return min(1.0, max(0.0, (stop_lag - lag) / max(1e-9, stop_lag - slow_down_lag)))

@@ -80,7 +80,7 @@ class MpcControllerParameters(TrackingControllerParameters):
 
 
 class CycleOutcome(str, Enum):
-    """Source of the command of a cycle."""
+    """Source of the command in a control cycle."""
 
     SOLVED = "solved"
     JERK_EXCEEDED = "no commands keep the jerk limit: it is exceeded by the smallest possible amount"
@@ -88,7 +88,7 @@ class CycleOutcome(str, Enum):
 
 
 class MpcStatus(NamedTuple):
-    """Result of a cycle."""
+    """Result of one control cycle."""
 
     outcome: CycleOutcome  # source of the command
     outside_tube: float  # largest distance of the prediction outside of the tube [m]; 0 inside, or without a tube
@@ -105,18 +105,17 @@ class _Plan(NamedTuple):
 class MpcController(TrackingController):
     """Controller that follows a trajectory by model predictive control.
 
-    It is a TrackingController with a different control law.
-
+    The class is a TrackingController with a different control law.
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or of the braking time if
     it is longer, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go
-    accounts for the rest of the trajectory, so that errors are corrected before the robot reaches the dock, if
-    possible. Latency and lag, given or identified, are part of the model. Lateral and heading errors are kept within
-    the robot's tube, `Robot.tracking`, if it is given and the limits allow it.
+    accounts for the rest of the trajectory, so errors are corrected before the robot reaches the dock if possible.
+    Latency and lag, given or identified, are part of the model. Lateral and heading errors are kept within the robot's
+    tube, `Robot.tracking`, if it is given and the limits allow it.
 
-    `status` reports whether no commands keep the jerk limit because the reference has jumped, whether the robot is
-    outside the tube, and whether the program has no solution. In the last case the commands of the previous cycle
-    continue; after the last of these commands, NoValidControl is raised.
+    `status` reports whether no commands satisfy the jerk limit because the reference has jumped, whether the robot is
+    outside the tube, and whether the program has no solution. If the program has no solution, the commands of the
+    previous cycle are continued; after the last of these commands, NoValidControl is raised.
 
     Args:
         **parameters: Fields of `MpcControllerParameters`.
@@ -145,7 +144,7 @@ class MpcController(TrackingController):
         self._limiter: _ProgramLimiter = _ProgramLimiter()
 
     def on_configure(self) -> None:
-        """Build the program and load the solver, which takes longer than a cycle."""
+        """Build the program and load the solver in advance, because this takes longer than a cycle."""
         self._built_for = None
         self._prepare()
 
@@ -258,7 +257,7 @@ class MpcController(TrackingController):
         return self._limiter.allowed
 
     def _cycle(self, reference: TrajectoryReference) -> MpcCycle:
-        """Return the data of the program in this cycle, beginning at the time when its command takes effect."""
+        """Return the data of the program for this cycle, beginning at the time when its command takes effect."""
         n, period, (latency, lag) = self.parameters.steps, self._clock.period, self._delays
         h = np.full(n, max(period, (self._horizon - period) / (n - 1)))
         h[0] = period
@@ -355,7 +354,7 @@ class MpcController(TrackingController):
         return CommandBounds(limits, speed, acceleration, lateral, about, curvature, gear)
 
     def _reachable_curvature(self, times: FloatArray) -> FloatArray:
-        """Return the least and the largest curvature that the wheels can reach by `times`, Shape (2, n)."""
+        """Return the least and the largest curvature that the wheels can reach at `times`, Shape (2, n)."""
         limits = self._limits
         if not math.isfinite(limits.max_steering_rate):
             return _both_ways(limits.max_curvature, times.size)
@@ -367,7 +366,7 @@ class MpcController(TrackingController):
 
 
 class _ProgramLimiter(CommandLimiter):
-    """Limiter that passes the commands of the program and limits the commands that were changed at the end.
+    """Limiter that returns the program's commands unchanged and limits commands that were changed at the end.
 
     Attributes:
         allowed: The program's command of this cycle.

@@ -1,4 +1,4 @@
-"""The tracking problem of a short horizon as a quadratic program, solved by DAQP.
+"""The tracking problem over a short horizon as a quadratic program, solved by DAQP.
 
 The state is z = (along, cross, yaw error, speed, yaw rate) relative to the moving reference. Over one step of length h
 the reference moves along an arc with the mean velocity (v, w). The errors are linearized about this arc [DeLuca2001],
@@ -155,7 +155,7 @@ class CommandBounds(NamedTuple):
 
 
 class MpcCycle(NamedTuple):
-    """Data of one cycle."""
+    """Data of the program for one control cycle."""
 
     prediction: Prediction  # errors as a function of the commands
     nominal: FloatArray  # commands that follow the reference, first row from the last cycle, Shape (n + 1, 2)
@@ -169,7 +169,7 @@ class MpcCycle(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Commands, Shape (n, 2), largest excess over the tube [m], and excess of the next jerk over its limit [m/s^3]."""
+    """Commands, Shape (n, 2), largest excess [m] over the tube, and excess [m/s^3] of the next jerk over its limit."""
 
     commands: FloatArray
     outside: float

@@ -1,4 +1,4 @@
-"""Checks of the tracking controller: its inputs, and its progress towards the accepted errors."""
+"""Checks of the tracking controller: validity of its inputs, and progress towards the accepted errors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Traj
 
     The frame must be equal to the frame of the configured problem if both are known. A certified trajectory must have
     been certified for the configured problem; only its start may differ, because a plan made in motion begins at the
-    robot. Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
+    pose of the robot. Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
 
     Raises:
         ControllerInvalidPath: If `task` is neither a path nor a trajectory, is in a different frame, or was certified
@@ -80,7 +80,7 @@ class AcceptedErrors(NamedTuple):
 
 
 def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) -> AcceptedErrors:
-    """Return the tolerances of the goal checker; missing tolerances are those of the problem's dock."""
+    """Return the tolerances of the goal checker; missing tolerances are taken from the problem's dock."""
     asked = goal_checker.tolerances if goal_checker else None
     dock = context.problem.dock.tolerances if context.problem else DockTolerances()
     given = (asked.x, asked.y, asked.yaw) if asked else (None, None, None)
@@ -89,13 +89,13 @@ def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) ->
 
 
 class _StallTimer:
-    """Timer for a quantity that should decrease: measures the time without progress."""
+    """Timer that measures the time for which a quantity that should decrease has made no progress."""
 
     def __init__(self) -> None:
         self._least, self._idle = math.inf, 0.0
 
     def expired(self, shortfall: float, period: float, patience: float) -> bool:
-        """Whether a shortfall above 1 has not decreased for `patience` [s]; the timer restarts after that."""
+        """Whether a shortfall above 1 has not decreased for `patience` [s]; the timer then restarts."""
         if shortfall <= 1.0 or self._idle > patience:
             self._least, self._idle = math.inf, 0.0
         elif shortfall < _BETTER * self._least:
@@ -124,8 +124,8 @@ class ProgressCheck:
             left: Accepted errors, once the reference is at its end; None before the end.
 
         Raises:
-            NoValidControl: If for longer than `patience` the reference has been held, or the error at the end of the
-                trajectory has not decreased.
+            NoValidControl: If the reference has been held for longer than `patience`, or the error at the end of the
+                trajectory has not decreased for that time.
         """
         where = {"along": error.x, "cross": error.y, "yaw": error.yaw}
         if self._following.expired(2.0 if is_held else 0.0, period, patience):

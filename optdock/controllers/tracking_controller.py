@@ -55,7 +55,7 @@ _PEAK_MARGIN = 1.2  # without a configured robot: ratio of limits to peaks of th
 
 
 class TrackingControllerParameters(PluginParameters):
-    """Gains, time base and finish of the TrackingController."""
+    """Parameters of the TrackingController: gains, time base and behaviour at the end."""
 
     period: float | None = Field(
         default=None, gt=0.0, description="time between two calls [s]; None: measured from their stamps"
@@ -111,21 +111,23 @@ class TrackingController(Controller):
     reference. Without `preview` the delay of the drive is identified, beginning with the first ramp, and kept until
     `reset`.
 
-    **Finish.** At the end of the trajectory the same law holds the last pose. If the drive ignores small commands,
-    larger commands are sent (`min_speed` and `min_yaw_rate` first, if given) until the error is within half of the
-    tolerance of the goal checker (or `finish_tolerance`). An error that is not accepted and does not decrease for
-    `patience` raises NoValidControl. A robot that does not follow the reference also raises NoValidControl.
+    **Finish.** At the end of the trajectory, the same law controls the robot to the last pose. If the drive ignores
+    small commands, larger commands are sent until the error is within half of the tolerance of the goal checker (or
+    `finish_tolerance`), beginning with `min_speed` and `min_yaw_rate` if given. An error that is not accepted and does
+    not decrease for `patience` raises NoValidControl. A robot that does not follow the reference also raises
+    NoValidControl.
 
-    **Collisions.** NoValidControl is raised if, after the command, the robot could not stop before touching an
-    obstacle. The checked motion consists of the commands that the drive has not yet executed, one period of the new
+    **Collisions.** NoValidControl is raised if the robot, after executing the command, could not stop before touching
+    an obstacle. The checked motion consists of the commands that the drive has not yet executed, one period of the new
     command, and braking, along the arc of the command or along the path. Contact with the station, and with obstacles
     that the trajectory touches at its start or end, is intended: a penetration of `collision_tolerance` is allowed at
     these contacts. A robot that overlaps an obstacle may move if the depth does not increase. The obstacles are taken
-    from the context's problem, and from its costmaps at the time of the call; without both there is no check.
+    from the context's problem, and from its costmaps at the time of the call; without a problem and costmaps,
+    collisions are not checked.
 
     **Limits.** The limits of the context's robot apply; without a robot, the defaults of `MotionLimits` apply,
-    increased to 1.2 times the peaks of the trajectory if necessary. Commands are admissible for the drive and keep its
-    acceleration limits.
+    increased to 1.2 times the peaks of the trajectory if necessary. Commands are admissible for the drive and satisfy
+    its acceleration limits.
 
     Args:
         **parameters: Fields of `TrackingControllerParameters`.
@@ -155,14 +157,14 @@ class TrackingController(Controller):
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it, beginning with the next call.
 
-        A path is timed from the speed of the last command, so that the robot need not stop for a new path.
+        A path is timed from the speed of the last command, so the robot does not have to stop for a new path.
 
         Args:
             path: Path or trajectory to follow.
-            start_stamp: Time of the trajectory's start, on the clock of the stamps [s]. Until then the reference
-                continues on the previous trajectory, or waits at the start if there is none. The new trajectory should
-                begin at the state of the reference at that time. None: the trajectory starts with the next call, at the
-                position of the robot.
+            start_stamp: Time of the trajectory's start, on the clock of the stamps [s]. Until that time, the reference
+                continues on the previous trajectory, or waits at the start if there is no previous trajectory. The new
+                trajectory should begin at the state of the reference at that time. None: the trajectory starts with the
+                next call, at the position of the robot.
 
         Raises:
             ControllerInvalidPath: If `path` is neither a path nor a trajectory, is not in the frame of the configured
@@ -187,7 +189,8 @@ class TrackingController(Controller):
 
         Args:
             pose: Measured pose.
-            velocity: Measured body velocity: start of the first command, and response to the last command.
+            velocity: Measured body velocity, from which the first command starts and which shows the response to the
+                last command.
             goal_checker: Goal checker whose position tolerance may widen `finish_tolerance`.
             stamp: Time of the measured pose [s], on any monotonic clock; None: the present time on the context's clock.
 
@@ -249,7 +252,7 @@ class TrackingController(Controller):
     def _room(self, reference: TrajectoryReference, now: ReferenceState, lag: float) -> float:
         """Return the distance to the next rest when the command takes effect [m]; infinite at the end.
 
-        The present lag is added, minus the part that commands not yet executed by the drive will correct.
+        The present lag is added, minus the part that will be corrected by commands not yet executed by the drive.
         """
         ahead = now.ahead
         if self._last is None or reference.finished or self._cancelled or ahead.gear == 0.0 or ahead.gear != now.gear:
@@ -260,7 +263,7 @@ class TrackingController(Controller):
     def _require_free_stop(
         self, reference: TrajectoryReference, now: ReferenceState, pose: Pose2, command: Twist2, before: Twist2
     ) -> None:
-        """Raise NoValidControl if the robot could stop neither along the arc of the command nor along its path."""
+        """Raise NoValidControl if a stop would collide both along the arc of the command and along the path."""
         footprint = self.context.footprint
         if footprint is None:
             return

@@ -60,7 +60,7 @@ _MOST_PUSH = Twist2(0.1, 0.3)  # [m/s], [rad/s]: the widest dead band
 
 
 class Gains(NamedTuple):
-    """Gains of the law.
+    """Gains of the tracking law.
 
     `along` k_x [1/s]; `convergence_distance` L [m]; `damping` zeta; `turn` lower bound of k_theta [1/s], for turning
     the robot while the reference is at rest.
@@ -73,7 +73,7 @@ class Gains(NamedTuple):
 
 
 class DelayBounds(NamedTuple):
-    """Bounds on the gains under a delay: the largest `along` and `turn` [1/s], the least convergence distance [m]."""
+    """Bounds on the gains for a given delay: largest `along` and `turn` [1/s], smallest convergence distance [m]."""
 
     rate: float
     distance: float
@@ -149,7 +149,7 @@ class FeedbackGains:
         self._before: tuple[Pose2, Twist2] | None = None
 
     def learn_noise(self, pose: Pose2, velocity: Twist2, clock: ControlClock) -> None:
-        """Update the variances from measured minus odometric motion, a difference with twice the variance of a pose."""
+        """Update the variances from measured minus odometric motion, whose variance is twice the variance of a pose."""
         period, before = clock.elapsed, self._before
         self._before = (pose, velocity)
         if before is None or clock.silent:
@@ -173,7 +173,7 @@ class FeedbackGains:
         delay: float,
         finished: bool,
     ) -> Gains:
-        """Return `usual` within the bounds of the delay, or other gains if these would leave too large an error.
+        """Return `usual` within the bounds of the delay, or other gains if the error at the end would be too large.
 
         Lateral and heading errors are measured in units of the accepted errors. They are smoothed, and errors within
         the noise are ignored, because higher gains would amplify the noise. A lateral error is removed by turning the
@@ -220,7 +220,7 @@ class FeedbackGains:
 
 
 class DeadBandPush:
-    """Offset that is added to the commands at the end, and grows while the drive does not move."""
+    """Offset that is added to the commands at the end and grows until the drive moves."""
 
     def __init__(self) -> None:
         self._push = [0.0, 0.0]

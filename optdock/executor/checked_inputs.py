@@ -1,4 +1,4 @@
-"""Validation of inputs: invalid measurements are dropped, invalid values of a dock type raise an error."""
+"""Validation of inputs: invalid measurements are dropped, and invalid values of a dock type raise an error."""
 
 from __future__ import annotations
 
@@ -106,33 +106,33 @@ class CheckedDockType:
         self._dock_type = dock_type
 
     def contact(self, now: AtDock) -> Contact | None:
-        """`DockType.contact`."""
+        """Return the validated result of `DockType.contact`."""
         found = self._dock_type.contact(now)
         return found if found is None or isinstance(found, Contact) else self._refuse("contact", "a Contact", found)
 
     @property
     def is_pressed_on(self) -> bool:
-        """`DockType.is_pressed_on`."""
+        """Validated value of `DockType.is_pressed_on`."""
         return self._checked_bool("is_pressed_on", self._dock_type.is_pressed_on)
 
     @property
     def waits_for_charge(self) -> bool:
-        """`DockType.waits_for_charge`."""
+        """Validated value of `DockType.waits_for_charge`."""
         return self._checked_bool("waits_for_charge", self._dock_type.waits_for_charge)
 
     def is_charging(self, measurements: Measurements) -> bool:
-        """`DockType.is_charging`."""
+        """Return the validated result of `DockType.is_charging`."""
         return self._checked_bool("is_charging", self._dock_type.is_charging(measurements))
 
     def staging_poses(self, gear: float, distance: float) -> tuple[Pose2, ...]:
-        """`DockType.staging_poses`; at least one."""
+        """Return the validated result of `DockType.staging_poses`, at least one pose."""
         found = self._dock_type.staging_poses(gear, distance)
         if not (isinstance(found, Sequence) and found and all(isinstance(pose, Pose2) for pose in found)):
             self._refuse("staging_poses", "a sequence of at least one Pose2", found)
         return tuple(found)
 
     def detections(self, measurements: Measurements) -> tuple[Detection, ...]:
-        """`DockType.detections`."""
+        """Return the validated result of `DockType.detections`."""
         found = self._dock_type.detections(measurements)
         if not (isinstance(found, Sequence) and all(_is_detection(one) for one in found)):
             self._refuse("detections", "a sequence of Detection with finite numbers", found)
@@ -140,14 +140,14 @@ class CheckedDockType:
 
     @property
     def back_out_distance(self) -> float:
-        """`DockType.back_out_distance` [m]; finite and positive."""
+        """Validated value of `DockType.back_out_distance` [m], which is finite and positive."""
         found = self._dock_type.back_out_distance
         if not (_is_finite(found) and found > 0.0):
             self._refuse("back_out_distance", "a finite number > 0", found)
         return float(found)
 
     def reset(self) -> None:
-        """`DockType.reset`."""
+        """Call `DockType.reset`."""
         self._dock_type.reset()
 
     def _checked_bool(self, name: str, found: object) -> bool:

@@ -1,4 +1,4 @@
-"""State of a task from one control cycle to the next, and the generators for one cycle, a stop and a wait for a pose.
+"""State of a task between control cycles, and the generators for one cycle, a stop and a wait for a pose.
 
 Every `yield` of the executor's generators is one control cycle.
 """
@@ -49,7 +49,7 @@ class Situation:
         interruption: Name and reason of an external interruption, such as a jump of the clock; empty without an
             interruption.
         commanded: The last command; set before every cycle.
-        felt: Contact reported by the dock type in this cycle, at any distance from the dock.
+        felt: Contact that the dock type reported in this cycle, at any distance from the dock.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Situation:
 
     @property
     def stands(self) -> bool:
-        """Whether the robot is at rest, by command and odometry."""
+        """Whether the robot is at rest according to command and odometry."""
         twist = self.twist
         return self.is_commanded_to_rest and abs(twist.linear) <= _AT_REST[0] and abs(twist.angular) <= _AT_REST[1]
 
@@ -98,7 +98,7 @@ class Situation:
         return self.braking_time_from(self.problem.robot.limits.max_speed)
 
     def braking_time_from(self, speed: float) -> float:
-        """Return an upper bound of the braking time from a speed [m/s], exact if full deceleration is reached [s]."""
+        """Return an upper bound of the braking time [s] from a speed [m/s], exact if full deceleration is reached."""
         limits = self.problem.robot.limits
         return speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
 
@@ -115,7 +115,7 @@ class Situation:
 
     @property
     def is_located(self) -> bool:
-        """Whether the pose is known by localization or, over a short distance with the dock detected, by odometry."""
+        """Whether the pose is known by localization or, for a short distance near a detected dock, by odometry."""
         perception, patience = self.perception, self.settings.pose_patience
         if not perception.started or perception.twist_age > patience:
             return False
@@ -164,7 +164,7 @@ class Situation:
             self.felt = self.dock_type.contact(at_dock)
 
     def contact(self) -> EndingKind | None:
-        """Return the kind of docking by contact; None without contact or far from the dock."""
+        """Return the kind of docking by contact; None if there is no contact or the dock is far away."""
         if self.felt is None:
             self._far_contact_reported = False
             return None

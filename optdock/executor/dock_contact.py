@@ -1,7 +1,7 @@
 """Actions at the dock: detection at rest, confirmation, pressing, backing out, and correction of small errors.
 
-The motions in this module are short, straight or in place, and not planned. Backing out and small corrections are
-checked against the obstacles by time of impact; pressing on towards contact is not checked.
+The motions in this module are short and not planned; they are straight lines or turns in place. Backing out and small
+corrections are checked against the obstacles by time of impact; pressing on towards contact is not checked.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def perceive(cycles: ControlCycles) -> Cycles:
 
 
 def wait_for_detection(cycles: ControlCycles) -> Cycles:
-    """Wait at rest for detections if the last one is too old.
+    """Wait at rest for detections if the last detection is too old.
 
     Raises:
         AttemptFailed: If the dock is not detected within the timeout.
@@ -119,7 +119,7 @@ def wait_for_detection(cycles: ControlCycles) -> Cycles:
 
 
 def confirm(cycles: ControlCycles) -> Cycles:
-    """Confirm at rest that the robot is docked; only detections reveal wheel slip over the last centimetres.
+    """Confirm at rest that the robot is docked; wheel slip over the last centimetres shows only in detections.
 
     Raises:
         Interrupted: If the robot is outside of the tolerances.
@@ -146,7 +146,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
 
 
 def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Whether a robot that was stopped on its way into the dock is docked all the same, for instance by momentum."""
+    """Whether a robot that was stopped on its way into the dock has reached it anyway, for instance by momentum."""
     situation = cycles.situation
     if situation.dock_type.is_pressed_on or situation.is_held:
         return False
@@ -264,7 +264,7 @@ class Nudge:
 
     @property
     def missing(self) -> Twist2:
-        """Correction of distance [m] and heading [rad] to the docked pose; zero if a nudge cannot correct the error.
+        """Correction of distance [m] and heading [rad] to the docked pose, or zero if a nudge cannot correct the error.
 
         A lateral error cannot be corrected.
         """
@@ -292,8 +292,9 @@ class Nudge:
     def _once(self) -> Generator[Target, None, bool]:
         """Make one motion of `run`; return False if no motion is needed or possible.
 
-        The distance lost to the dead band of a wheel is added to the next motion. If the drive has dead bands, one
-        wheel moves at a time; otherwise only the wheel with the smaller dead band might move and turn the robot.
+        The distance lost in the dead band of a wheel is added to the next motion. If the drive has dead bands, one
+        wheel moves at a time. If both were commanded together, the wheel with the smaller dead band might move alone
+        and turn the robot.
         """
         situation, perception = self._cycles.situation, self._cycles.situation.perception
         footprint = situation.problem.robot.footprint

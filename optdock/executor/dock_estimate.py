@@ -1,4 +1,4 @@
-"""Robot relative to the dock: errors, uncertainty, and the errors that a path or the feedback can still correct."""
+"""Robot relative to the dock: errors, their uncertainty, and the errors that a path or the feedback can correct."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ LAST_LOOK = 0.2  # [m] in front of the dock within which an uncertain robot cont
 
 
 def reachable_offset(distance: float, limits: MotionLimits) -> float:
-    """Return the largest lateral offset of a forward path that begins and ends in the same direction [m].
+    """Return the largest lateral offset [m] of a forward path that begins and ends in the same direction.
 
     Four equal pieces with the curvature rising and falling at its largest rate c give an offset of c d^3 / 32. Two arcs
     of the largest curvature k, one to the left and one to the right, give k d^2 / 4. No path within the limits exceeds
@@ -65,7 +65,7 @@ def reachable_offset(distance: float, limits: MotionLimits) -> float:
 
 
 def can_be_planned_away(offset: float, turn: float, distance: float, gear: float, limits: MotionLimits) -> bool:
-    """Whether a path with half the largest curvature and curvature rate can correct an error over a distance.
+    """Whether a path with half the largest curvature and curvature rate can correct an error within a distance.
 
     The other half is reserved for the curvature at the start of the path.
 
@@ -99,7 +99,7 @@ def left_at_dock(offset: float, turn: float, distance: float, gear: float, decay
 
 
 def staging_distance(problem: DockingProblem) -> float:
-    """Return the distance from the docked pose at which an approach can still correct an error of the stored dock [m].
+    """Return the distance [m] from the docked pose at which an approach can still correct an error of the stored dock.
 
     The distance allows a lateral correction of 15 cm before the final straight, and is at least Nav2's 0.7 m.
     """
@@ -151,7 +151,7 @@ class DockEstimate:
 
     @property
     def reach_of_contact(self) -> float:
-        """Distance from the estimated dock within which contact is possible, including the uncertainty [m]."""
+        """Distance [m] from the estimated dock within which contact is possible, including the uncertainty."""
         return self.settings.contact_range + 3.0 * self.perception.sigma[0]
 
     @property
@@ -171,7 +171,7 @@ class DockEstimate:
         return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
 
     def will_know(self, left: float) -> bool:
-        """Whether the tolerances of the dock exceed the uncertainty after a further distance `left` [m]."""
+        """Whether the uncertainty after a further distance `left` [m] is smaller than the tolerances of the dock."""
         sigma, accepted = self.perception.sigma_after(self.gear * left), self.problem.dock.tolerances
         pairs = zip(sigma, (accepted.along, accepted.cross, accepted.yaw), strict=True)
         return all(_CERTAINTY * found <= most for found, most in pairs)
@@ -189,12 +189,12 @@ class DockEstimate:
 
     @property
     def sees_from_near(self) -> bool:
-        """Whether the dock has been detected from close by."""
+        """Whether the dock has been detected at close range."""
         return self.perception.detections.seen_from <= _NEAR
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the required number of detections was accepted and newer detections do not contradict them."""
+        """Whether the required number of detections was accepted and no newer detections contradict them."""
         detections = self.perception.detections
         return detections.count >= self.settings.least_detections and not detections.is_contradicted
 
@@ -218,7 +218,7 @@ class DockEstimate:
 
     @property
     def detection_is_old(self) -> bool:
-        """Whether the last detection is so old that the pose at the dock would be too uncertain."""
+        """Whether the pose at the dock would be too uncertain because the last detection is old."""
         age, settings = self.perception.detection_age, self.settings
         left = self.left
         if age <= _BLINK or self.distance <= settings.detection_blind_distance:
@@ -230,10 +230,11 @@ class DockEstimate:
 
     @property
     def is_hidden(self) -> bool:
-        """Whether the dock should be visible but is not detected, while an error could still be corrected.
+        """Whether the dock should be visible but is not detected, although an error could still be corrected.
 
-        If the camera has never detected the dock from close by, no detection is expected there, provided that odometry
-        is accurate enough for the remaining distance. After `LONGEST_HIDDEN` without a detection the result is False.
+        If the camera has never detected the dock at close range, no detection is expected at such ranges, provided that
+        odometry is accurate enough for the remaining distance. After `LONGEST_HIDDEN` without a detection the result is
+        False.
         """
         age, left = self.perception.detection_age, self.left
         if not (_HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= LAST_LOOK):

@@ -61,7 +61,7 @@ class DockingExecutor:
         problem: Robot, stored dock, obstacles and clearance; the start of the problem is not used.
         settings: Settings of the executor; None: the default values.
         task: `dock` or `undock`.
-        controller: Controller, given by name, by name and parameters, or as an unconfigured plugin.
+        controller: Controller, given as a name, as a name with parameters, or as an unconfigured plugin.
         goal_checker: Goal checker that decides whether the robot is docked, given in the same ways as `controller`.
         dock_type: Dock type, given in the same ways as `controller`; None: a `SimpleDock` with parameters from the
             settings.
@@ -158,8 +158,8 @@ class DockingExecutor:
         """Run one control cycle; invalid measurements raise no exception.
 
         Args:
-            measurements: Measurements since the last cycle, with stamps at any rate from 10 to 200 Hz. Fields of a
-                wrong type or without a finite value are ignored and reported by the event `... not used`.
+            measurements: Measurements since the last cycle, whose stamps may have any rate from 10 to 200 Hz. Fields of
+                a wrong type or without a finite value are ignored and reported by the event `... not used`.
         """
         self._events.clear()
         robot, intake = self.problem.robot, usable(measurements)
@@ -200,7 +200,7 @@ class DockingExecutor:
         return found
 
     def _with_dock_detections(self, measurements: Measurements) -> Measurements:
-        """Keep the detections that the dock type selects, or no detections if it raises an exception."""
+        """Keep the detections that the dock type selects, or no detection if the dock type raises an exception."""
         failure = ""
         try:
             chosen = self._dock_type.detections(measurements)
@@ -221,7 +221,7 @@ class DockingExecutor:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
     def _tick(self, stamp: float) -> tuple[float, float]:
-        """Return the time since the last cycle on the monotonic clock, and the time for changes of commands [s]."""
+        """Return the time since the last cycle on the monotonic clock, and the time for changes of the command [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1

@@ -1,4 +1,4 @@
-"""Docking logs, format `optdock-log/1`: one JSON value per line, written during the task and read back bit for bit.
+"""Docking logs, format `optdock-log/1`: one JSON value per line, written during the task and read back exactly.
 
 The first line contains the task: the problem as a scenario, its costmap, settings and plugins. The next lines contain,
 for every cycle, the results of planning, the measurements, the command and the events. A crash truncates at most the
@@ -53,7 +53,7 @@ _MOST_VALUES = 300_000  # JSON values of a line: a plan of 300 m has 20,000; thi
 
 
 class Task(NamedTuple):
-    """The task of a log; without a dock type, the dock is described by the settings."""
+    """The task of a log; if there is no dock type, the settings describe the dock."""
 
     problem: DockingProblem
     settings: ExecutorSettings
@@ -168,7 +168,7 @@ class LogWriter(AbstractContextManager["LogWriter"]):
         )
 
     def cancel(self) -> None:
-        """Write that the task is cancelled before the next cycle."""
+        """Record that the task is cancelled before the next cycle."""
         self._write({"cancel": True})
 
     def planned(self, result: PlanResult, frame: str) -> None:
@@ -230,24 +230,24 @@ class LoggedPlanning:
         self._planning, self._log, self._frame = planning, log, frame
 
     def submit(self, job: Job) -> None:
-        """`Planning.submit`."""
+        """Submit a job; see `Planning.submit`."""
         self._planning.submit(job)
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """`Planning.poll`."""
+        """Return and log the result of a job; see `Planning.poll`."""
         result = self._planning.poll(stamp)
         if result is not None:
             self._log.planned(result, self._frame)
         return result
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """`Planning.still_holds`."""
+        """Return and log the verdict on a motion; see `Planning.still_holds`."""
         verdict = self._planning.still_holds(motion, costmap, from_time)
         self._log.verdict(verdict)
         return verdict
 
     def close(self) -> None:
-        """`Planning.close`."""
+        """Release all resources; see `Planning.close`."""
         self._planning.close()
 
 

@@ -51,7 +51,7 @@ class Perception:
         costmap: The newest costmap; None before the first.
         detections: Detections of the dock, and the robot in the frame of the dock.
         way: Distance driven, by odometry [m].
-        forward: Signed distance driven, negative in reverse, by odometry [m].
+        forward: Signed distance driven by odometry, negative in reverse [m].
         turned: Signed angle turned to the left, by odometry [rad].
         has_twist: Whether the next measurements contain a body velocity.
     """
@@ -85,7 +85,7 @@ class Perception:
 
     @property
     def pose_age(self) -> float:
-        """Time since a measured pose was accepted [s]; infinite before the first."""
+        """Time [s] since a measured pose was accepted; infinite before the first accepted pose."""
         return self.stamp - self._robot.measured_at
 
     @property
@@ -95,12 +95,12 @@ class Perception:
 
     @property
     def twist_age(self) -> float:
-        """Time since the last new odometry with a body velocity [s]; 0 before the first."""
+        """Time [s] since the last new odometry with a body velocity; 0 before the first such odometry."""
         return max(self.stamp - self._twist_at, 0.0)
 
     @property
     def costmap_age(self) -> float:
-        """Time since the last costmap, even if unchanged, or if there was none, since the first measurements [s]."""
+        """Time [s] since the last costmap, even if unchanged, or since the first measurements without a costmap."""
         return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
@@ -110,12 +110,12 @@ class Perception:
 
     @property
     def detection_age(self) -> float:
-        """Time since the last accepted detection was taken [s]; infinite before the first."""
+        """Time [s] since the last accepted detection was taken; infinite before the first accepted detection."""
         return self.stamp - self._dock.measured_at
 
     @property
     def unseen_turn(self) -> float:
-        """Rotation of the localization against the odometry since the last detection [rad].
+        """Rotation [rad] of the localization relative to the odometry since the last detection.
 
         A rotation by wheel slip changes the localization, but not the odometry.
         """
@@ -133,7 +133,10 @@ class Perception:
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of the dock relative to the robot: the larger of along and across [m], and yaw [rad]."""
+        """Standard deviations of the dock relative to the robot.
+
+        The values are the larger of along and across [m], and yaw [rad].
+        """
         if not self._settings.use_detections and self._robot.started:
             spread = self._robot.covariance
             return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
@@ -148,7 +151,8 @@ class Perception:
     def sigma_after(self, way: float) -> tuple[float, float, float]:
         """Return the standard deviations after a straight motion by `way` [m], negative in reverse.
 
-        The values are along [m], across [m] and in yaw [rad] in the frame of the dock, if no further detection is made.
+        The values apply along [m], across [m] and in yaw [rad] in the frame of the dock, under the assumption that no
+        further detection is made.
         """
         found = (self._dock if self._settings.use_detections else self._robot).after(way)
         if not self._settings.use_detections:  # independent of the orientation of the dock in the map
@@ -230,7 +234,7 @@ class Perception:
         )
 
     def _report_lost(self) -> None:
-        """Report once when poses or detections are missing, and when they return."""
+        """Report once when poses or detections are missing, and once when they are available again."""
         lost = self.pose_age > _MISSED
         if lost != self._pose_was_lost:
             self._pose_was_lost = lost
@@ -302,7 +306,7 @@ class DockDetections:
         return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """Return the distance from the position of the last (`times=2`: last but one) detection [m]; may be inf."""
+        """Return the distance from the position of the last detection (`times=2`: the last but one) [m]; may be inf."""
         seen = self._stamps[-times] if len(self._stamps) >= times else -math.inf
         if not seen >= self.filter.remembered_from:
             return math.inf
@@ -382,7 +386,7 @@ class DockDetections:
 
 
 def covariance_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) -> FloatArray:
-    """Return the covariance of the robot in the frame of the dock, from errors of the dock in the frame of the robot.
+    """Return the robot's covariance in the frame of the dock, given the errors of the dock in the frame of the robot.
 
     Let D be the pose of the dock in the frame of the robot, and T the inverse of D. An error of D's yaw rotates the
     robot about the dock.

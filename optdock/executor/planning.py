@@ -45,7 +45,7 @@ _INSTANT = 1e-9  # [s]: rounding of stamps that are sums of periods
 
 
 class Outcome(str, Enum):
-    """Outcome of a job."""
+    """Outcome of a planning job."""
 
     NEW = "new"  # another motion
     KEPT = "kept"  # the running motion continues
@@ -100,8 +100,8 @@ class Job(NamedTuple):
         rate: Rate of that clock [1].
         pose: Measured pose of the robot.
         lead: Time between `time` and the takeover by the new motion [s].
-        moved: Displacement of the running motion as a whole, because the estimated dock has moved since it was planned;
-            None: no displacement.
+        moved: Displacement of the running motion as a whole, if the estimated dock has moved since the motion was
+            planned; None: no displacement.
     """
 
     number: int
@@ -140,10 +140,10 @@ class PlanResult(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Result of a clearance check of the rest of a motion; true if the clearance is kept.
+    """Result of checking the clearance of the rest of a motion; true if the clearance is sufficient.
 
     Attributes:
-        holds: Whether the rest of the motion keeps its clearance.
+        holds: Whether the rest of the motion has the required clearance.
         reason: The obstacle and its position.
         at_time: Time at which the motion would reach the obstacle, on the clock of the motion [s].
     """
@@ -166,14 +166,14 @@ class Planning(Protocol):
         """Return the result of the last job once, when it is available; None otherwise."""
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """Return whether a motion keeps its clearance to the obstacles of a costmap after a time [s]."""
+        """Return whether a motion after a time [s] has the required clearance from the obstacles of a costmap."""
         if motion.plan is None:
             return Verdict(holds=True)
         found = still_holds(motion.plan, costmap, from_time)
         return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
 
     def close(self) -> None:
-        """Release all resources; by default there are none."""
+        """Release all resources; the default implementation has no resources."""
         return  # optional for subclasses, therefore not abstract
 
 
@@ -191,7 +191,7 @@ def _from_rest(job: Job) -> PlanResult:
 
 
 def _replanned(job: Job) -> PlanResult:
-    """Plan a motion that starts from the measured pose, so that the feedback has no offset to correct."""
+    """Plan a motion that starts from the measured pose, which leaves no offset for the feedback to correct."""
     assert job.running is not None
     plan = job.running.plan
     if plan is None:
@@ -210,7 +210,7 @@ class InlinePlanning(Planning):
 
     Args:
         latency: Time until a result is available, on the clock of the stamps [s].
-        patience: Factor on the wall-clock budgets, so that results do not depend on the load of the machine [1].
+        patience: Factor on the wall-clock budgets, which makes results independent of the load of the machine [1].
 
     Raises:
         InvalidValue: If the latency is negative, the patience is not positive, or either value is not finite.
@@ -237,7 +237,7 @@ class InlinePlanning(Planning):
 
 
 class ThreadPlanning(Planning):
-    """Planning in a thread.
+    """Planning in a background thread.
 
     A running job is not interrupted; its duration is limited by its budget, and the next job begins when it has ended.
 
@@ -296,7 +296,7 @@ class Planned(NamedTuple):
 
 
 class RecordedPlanning(Planning):
-    """Planning from a log: every result is delivered in the cycle in which it was recorded, without a certificate."""
+    """Planning from a log: each result is delivered, without a certificate, in the cycle of its recording."""
 
     def __init__(self) -> None:
         self._results: deque[Planned] = deque()
@@ -367,7 +367,7 @@ class PlanRequests:
         """Return the result of the last job once, when it is available at the time `now` [s]; None otherwise.
 
         Raises:
-            TaskFailed: If a new motion is not certified; recorded motions are exempt, because no robot drives them.
+            TaskFailed: If a new motion is not certified; recorded motions are exempt, because no robot executes them.
         """
         result = self._planning.poll(now)
         if result is None or not self.pending or result.number != self._number:
@@ -384,5 +384,5 @@ class PlanRequests:
         return result
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, time: float) -> Verdict:
-        """`Planning.still_holds`."""
+        """Return the verdict on a motion; see `Planning.still_holds`."""
         return self._planning.still_holds(motion, costmap, time)

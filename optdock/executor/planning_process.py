@@ -1,7 +1,7 @@
-"""Planning in a separate process, because planning in a thread blocks the interpreter for milliseconds at a time.
+"""Planning in a separate process, which avoids the pauses of milliseconds caused by planning in a thread.
 
-`ThreadPlanning(process.planned)` sends jobs to the process. Every costmap and motion is sent only once, so that the
-values cached in these objects stay available in both processes.
+`ThreadPlanning(process.planned)` sends jobs to the process. Every costmap and motion is sent only once, so the values
+cached in these objects remain available in both processes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MARGIN = 5.0  # [s] beyond its budget until a job counts as lost and the proces
 
 
 class PlanningProcess:
-    """A planning process that starts immediately, is warm after some seconds, and is replaced if it dies.
+    """A planning process that starts immediately, is warmed up after some seconds, and is replaced if it dies.
 
     The process ends when `close` is called or the parent process ends.
     """
@@ -56,7 +56,7 @@ class PlanningProcess:
     def wait_until_warm(self, timeout: float = _WARM_UP_TIME) -> bool:
         """Wait at most `timeout` [s] for libraries and caches; return whether they are loaded.
 
-        A process that has died is replaced; the new process becomes warm later.
+        A process that has died is replaced; the new process is warmed up later.
         """
         with self._lock:
             if self._closed or self._worker.wait_until_warm(timeout):

@@ -38,15 +38,15 @@ FROM_REST: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "sta
 
 
 def contact_reach(costmap: Costmap, margin: float) -> float:
-    """Return the distance from the touching edge to the farthest cell centres freed by `with_contact_zone` [m]."""
+    """Return the distance [m] from the touching edge to the farthest cell centres that `with_contact_zone` frees."""
     return max(margin, 1.5 * costmap.resolution)
 
 
 def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
     """Return the costmap with the cells at the touching edge of the docked robot freed.
 
-    Only cells within the margin of that edge, or within a cell and a half if this is larger, are freed, so that
-    obstacles in the way of the robot are kept.
+    Only cells within the margin of that edge are freed, or within one and a half cells if that distance is larger.
+    Obstacles in the way of the robot are kept.
 
     Args:
         costmap: Costmap in the frame of the dock.
@@ -156,7 +156,7 @@ class StagingPoses:
         return tuple(self.perception.dock @ pose for pose in self.dock_type.staging_poses(self.estimate.gear, distance))
 
     def distance_to_nearest(self) -> float:
-        """Return Nav2's norm of the displacement to the nearest staging pose, over metres and radians."""
+        """Return Nav2's norm, over metres and radians, of the displacement to the nearest staging pose."""
         gaps = [self.perception.robot.in_frame_of(place) for place in self.poses()]
         return min(math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) for gap in gaps)
 

@@ -2,11 +2,11 @@
 
 `DeadReckoning` integrates poses and twists of the odometry. `PoseFilter` is an extended Kalman filter ([Thrun2005] ch.
 3 and 7, [BarShalom2001]) of the pose in a fixed frame, the map or the frame of a dock. Its state also contains
-systematic errors: a scale error of the distance, a rotation per distance, and the delay of the measurements against the
-odometry.
+systematic errors: a scale error of the distance, a rotation per distance, and the delay of the measurements relative to
+the odometry.
 
-Measurements outside the gate are set aside; if a few of them agree within a short time, the estimate moves to them.
-Innovations with a persistent sign contradict the model and increase the covariance.
+Measurements outside the gate are stored separately; if a few of them agree within a short time, the estimate moves to
+them. Innovations with a persistent sign contradict the model, and the covariance is then increased.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _IDLE = 0.05, 0.1  # [m], [rad] by the twists at a constant pose: beyond, the dr
 class DeadReckoning:
     """Pose of the robot by odometry, relative to its first pose.
 
-    Increments of the odometry's poses are accumulated, so that a restart of its frame has no effect. Twists are
+    Increments of the odometry's poses are accumulated, so a restart of the odometry's frame has no effect. Twists are
     integrated from the newest pose to the present, or over the whole time if there are no poses.
 
     Args:
@@ -140,7 +140,7 @@ def _arc(step: Pose2) -> Twist2:
 
 
 class OdometryErrors(NamedTuple):
-    """Standard deviations of the errors of dead reckoning and of the stamps of measurements.
+    """Standard deviations of errors in dead reckoning and in the stamps of measurements.
 
     Attributes:
         along: Random error of the distance after one metre [m/m^0.5].
@@ -150,7 +150,7 @@ class OdometryErrors(NamedTuple):
         yaw_wander: Random walk of the fixed frame's yaw [rad/s^0.5].
         scale: Systematic error of the distance, such as a wrong wheel radius [1].
         drift: Systematic rotation per distance, such as unequal wheels [rad/m].
-        delay: Systematic delay of the measurements against the odometry [s].
+        delay: Systematic delay of the measurements relative to the odometry [s].
         jitter: Random delay of the measurements [s].
     """
 
@@ -184,7 +184,7 @@ class PoseFilter:
 
     Args:
         errors: Errors of the odometry.
-        confirmations: Number of agreeing rejected measurements that move the estimate.
+        confirmations: Number of rejected measurements that must agree with each other to move the estimate.
         fewer_when_close: Reduction of `confirmations` if the measurements agree within the 75 % bound of their noise.
 
     Attributes:
@@ -196,7 +196,7 @@ class PoseFilter:
             rejected measurements; None otherwise.
         rejected: Number of consecutive rejected measurements.
         doubts: Number of increases of the covariance by innovations with a persistent sign.
-        measured_at: Stamp of the newest accepted measurement [s]; -inf before the first.
+        measured_at: Stamp of the newest accepted measurement [s]; -inf before the first accepted measurement.
 
     Raises:
         InvalidValue: If a standard deviation is negative or not finite.
@@ -273,7 +273,7 @@ class PoseFilter:
         self.covariance[:3, :3] = covariance
 
     def predict(self, stamp: float, step: Pose2) -> Pose2:
-        """Predict the estimate at `stamp` and return it.
+        """Return the estimate predicted for `stamp`.
 
         Args:
             stamp: Present time [s].
@@ -371,7 +371,7 @@ class PoseFilter:
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Add an alternative pose; a single measurement that agrees with it moves the estimate there.
+        """Add an alternative pose; a single measurement that agrees with this pose moves the estimate to it.
 
         Args:
             pose: Alternative present pose.
@@ -487,7 +487,7 @@ class PoseFilter:
 
 
 class _Outside(NamedTuple):
-    """A measured or supposed pose outside the gate.
+    """A measured or alternative pose outside the gate.
 
     Attributes:
         stamp: Stamp of the measurement [s].
@@ -495,7 +495,7 @@ class _Outside(NamedTuple):
         reckoned: Pose according to dead reckoning at the arrival of the measurement.
         noise: Covariance, Shape (3, 3).
         accepted_since: Number of measurements accepted since then.
-        is_measured: False for a supposed pose.
+        is_measured: False for an alternative pose given to `suppose`.
     """
 
     stamp: float

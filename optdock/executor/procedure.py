@@ -1,7 +1,7 @@
 """Docking and undocking procedure: attempts with their plans and drives; each `yield` is one control cycle.
 
-The early end of a motion, an attempt or the task is signalled by an exception. The function that can respond catches
-the exception. Every wait and every motion has a timeout.
+An exception signals the early end of a motion, an attempt or the task, and is caught by the function that can respond.
+Every wait and every motion has a timeout.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Procedure:
 
     Attributes:
         cycles: Situation, state and cancellation of the task.
-        num_retries: Number of approaches after the first one.
+        num_retries: Number of approaches after the first approach.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - the parts of an executor
@@ -154,9 +154,9 @@ class Procedure:
         return EndingKind.UNDOCKED, ""
 
     def _perceive_from_somewhere(self) -> Cycles:
-        """Detect the dock from the present pose or a staging pose; for docking in reverse, also from a reversed one.
+        """Detect the dock from the present pose or a staging pose, for docking in reverse also from a reversed pose.
 
-        A front camera cannot detect a dock while the robot enters it in reverse. The dock is then detected from the
+        A front camera cannot detect a dock that the robot enters in reverse. The dock is then detected from the
         reversed pose, and the robot drives into it by odometry.
         """
         situation, staging = self._situation, self._situation.staging
@@ -176,7 +176,7 @@ class Procedure:
             yield from self._travel.drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
     def _approach(self) -> Generator[Target, None, EndingKind]:
-        """Plan from rest and drive; plan again after interruptions; raise AttemptFailed after too many of them."""
+        """Plan from rest and drive; plan again after interruptions, and raise AttemptFailed after too many."""
         cycles, patience = self.cycles, self._situation.settings.obstacle_patience
         blocks, blocked_since = 0, cycles.now
         self._situation.dock_type.reset()
@@ -202,7 +202,11 @@ class Procedure:
                 yield from wait_for_detection(cycles)
 
     def _planned_from_rest(self, since: float) -> Generator[Target, None, PlanResult]:
-        """Plan into the dock; if no path was found since a time [s], wait for the obstacle to move, or raise NoWay."""
+        """Plan into the dock.
+
+        If no path is found, wait for the obstacle to move; raise NoWay if `obstacle_patience` has passed since `since`
+        [s] without a path.
+        """
         yield from self.cycles.locate()
         result = yield from self._travel.planned(self._situation.scene.to_dock())
         if result.motion is None:
@@ -212,7 +216,7 @@ class Procedure:
         return result
 
     def _attempt(self, motion: DrivenMotion) -> Generator[Target, None, EndingKind]:
-        """Drive into the dock; raise Interrupted if the robot is not docked, or AttemptFailed if this is unknown."""
+        """Drive into the dock; raise Interrupted if the robot is not docked, or AttemptFailed if this is uncertain."""
         situation = self._situation
         docked = yield from self._travel.drive(motion, State.APPROACHING)
         if docked is None and situation.dock_type.is_pressed_on:

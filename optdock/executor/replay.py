@@ -1,4 +1,4 @@
-"""Replay of a log: equal measurements and planning results must give equal commands, bit for bit."""
+"""Replay of a log: identical measurements and planning results must give bit-for-bit identical commands."""
 
 from __future__ import annotations
 

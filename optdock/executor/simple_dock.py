@@ -58,7 +58,7 @@ class SimpleDockParameters(PluginParameters):
 
 
 class SimpleDock(DockType):
-    """Dock type with contact by the external signal, a charging current, and (with `contact: touch`) a stall.
+    """Dock type that detects contact by the external signal, a charging current, and (with `contact: touch`) a stall.
 
     A stall is detected if, for at least `stall_time`, the commanded speed is above twice `stall_speed` and the odometry
     speed is below `stall_speed`.
@@ -81,7 +81,7 @@ class SimpleDock(DockType):
         self._stalled_since: float | None = None
 
     def contact(self, now: AtDock) -> Contact | None:
-        """Return a signal at any position, but a stall only near the dock; elsewhere an obstacle may be the cause."""
+        """Return a signal at any position, but a stall only near the dock; elsewhere, an obstacle may be its cause."""
         p = self.parameters
         if not self._is_stalled(now):
             self._stalled_since = None
@@ -99,7 +99,7 @@ class SimpleDock(DockType):
 
     @property
     def waits_for_charge(self) -> bool:
-        """The parameter `wait_for_charge`."""
+        """Value of the parameter `wait_for_charge`."""
         return self.parameters.wait_for_charge
 
     def is_charging(self, measurements: Measurements) -> bool:
@@ -109,7 +109,7 @@ class SimpleDock(DockType):
         return self._is_charged(measurements)
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return the poses of the parameters, for any gear; if there are none, one pose on the axis of the dock."""
+        """Return the staging poses in the parameters, for any gear, or else one pose on the axis of the dock."""
         p = self.parameters
         if p.staging_poses:
             return tuple(Pose2(*pose) for pose in p.staging_poses)
@@ -117,7 +117,7 @@ class SimpleDock(DockType):
 
     @property
     def back_out_distance(self) -> float:
-        """The parameter `back_out_distance` [m]."""
+        """Value of the parameter `back_out_distance` [m]."""
         return self.parameters.back_out_distance
 
     def reset(self) -> None:

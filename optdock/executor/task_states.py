@@ -66,7 +66,8 @@ class State(str, Enum):
 class EndingKind(str, Enum):
     """Kind of ending of a task; true if the task succeeded.
 
-    Nav2's error codes 901 and 902 (dock unknown or invalid) occur before a task exists: `DockNotInDB`, `DockNotValid`.
+    Errors with Nav2's codes 901 and 902 (dock unknown or invalid), `DockNotInDB` and `DockNotValid`, are raised before
+    a task exists.
     """
 
     DOCKED_BY_DISTANCE = "docked by distance"
@@ -193,7 +194,7 @@ class AttemptFailed(TaskFailed):
 
 
 class NoWay(AttemptFailed):
-    """No path into the dock was found within the time that the executor waits for obstacles to move away."""
+    """No path into the dock was found within the time for which the executor waits for obstacles to move."""
 
 
 class Interrupted(Exception):

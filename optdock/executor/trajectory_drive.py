@@ -139,7 +139,7 @@ class TrajectoryDrive:
 
     @property
     def _allowance(self) -> float:
-        """Time that the drive may take beyond its plan [s]."""
+        """Time [s] by which the drive may exceed the duration of its plan."""
         settings, state = self._situation.settings, self._state
         if state is State.STAGING:
             return settings.max_staging_time
@@ -213,7 +213,7 @@ class TrajectoryDrive:
             raise Interrupted("detection missing", reason)
 
     def _share_while_hidden(self) -> float:
-        """Return the share of the planned speed that keeps corrections possible during the wait for a hidden dock."""
+        """Return the share of the planned speed at which corrections stay possible while the dock is hidden."""
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)
@@ -445,7 +445,7 @@ class TubeMonitor:
         self._is_outside = False
 
     def time_at(self, s: float) -> float:
-        """Return the time at which the plan passes an arc length [m] of the path [s]."""
+        """Return the time [s] at which the plan passes an arc length [m] of the path."""
         return float(np.interp(s, *self._times_of_places))
 
     def update(self, robot: Pose2, time: float) -> bool:
@@ -508,7 +508,7 @@ class ShorterWay:
         self._submitted_at = -math.inf
 
     def check_next_costmap(self) -> None:
-        """Let the next call of `may_exist` compare its costmap with the costmap of the plan."""
+        """Make the next call of `may_exist` compare its costmap with the costmap of the plan."""
         self._is_new = True
 
     def may_exist(self, motion: DrivenMotion, time: float, pose: Pose2, costmap: Costmap | None) -> bool:
@@ -533,7 +533,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return a job that plans from the pose of a stop; the start and costmap of the problem `here` are replaced."""
+        """Return a job that plans from the pose of a stop, with this start and a new costmap in the problem `here`."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)

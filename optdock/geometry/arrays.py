@@ -97,7 +97,7 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
 
 
 def digest(*parts: ArrayLike | str) -> str:
-    """Return a hexadecimal digest of numbers, arrays and strings, which depends on their order and shapes.
+    """Return a hexadecimal digest of numbers, arrays and strings; it depends on their order and shapes.
 
     Equal digests mean that all numbers are equal to the last bit, except that -0.0 has the digest of 0.0 and an integer
     has the digest of the equal float.

@@ -1,6 +1,6 @@
 """Strict checks of constructor arguments: numbers, enumeration members and classes.
 
-Without strict checks a quoted number or a misspelled gear could silently disable a rule later.
+Without strict checks, a number in quotes or a misspelled gear could silently disable a rule.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
 
 
 def exactly(kind: type[_Kind], value: object, name: str) -> _Kind:
-    """Return the value if its class is `kind` and not a subclass, which could override methods that proofs rely on.
+    """Return the value if its class is exactly `kind`; a subclass could override methods on which proofs rely.
 
     Raises:
         InvalidValue: If the class of the value is not exactly `kind`.

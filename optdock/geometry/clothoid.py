@@ -29,7 +29,7 @@ _MAX_CELLS = 100_000
 
 
 def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Return the knots with additional points, such that no cell turns by more than `_MAX_TURN_PER_CELL`."""
+    """Return the knots with additional knots, such that no cell turns by more than `_MAX_TURN_PER_CELL`."""
     steps = np.diff(knots)
     turn = steps * np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:]))
     parts = np.ceil(np.clip(turn / _MAX_TURN_PER_CELL, 1.0, _MAX_CELLS + 1.0)).astype(np.int64)

@@ -38,10 +38,10 @@ class Footprint(FrozenArrays):
         vertices: Shape (n, 2) [m], either orientation, n >= 3.
 
     Attributes:
-        bodies: Convex pieces that cover exactly the polygon; one piece if it is convex.
+        bodies: Convex pieces that exactly cover the polygon; a single piece if the polygon is convex.
         core: Convex pieces that cover all points at least `CORE_DEPTH` inside a non-convex polygon; empty for a convex
-            one (see `optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by chords
-            that lie outside it, so the pieces contain the exact core, with an error of at most one hundredth of
+            polygon (see `optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by
+            chords that lie outside it, so the pieces contain the exact core, with an error of at most one hundredth of
             `CORE_DEPTH`.
 
     Raises:
@@ -64,9 +64,9 @@ class Footprint(FrozenArrays):
     def from_radius(cls, radius: float) -> Footprint:
         """Return the regular polygon of 32 sides circumscribed about the circle of `radius` [m], for a round robot.
 
-        The corners exceed the radius by 0.5 %. Sides face forward, left, backward and right, so length and width equal
-        the diameter, and padding moves every side outwards by at least the padding. (Nav2's polygon is inscribed in the
-        circle and therefore smaller than the robot.)
+        The distance of the corners from the centre exceeds the radius by 0.5 %. Sides face forward, left, backward and
+        right, so length and width equal the diameter, and padding moves every side outwards by at least the padding.
+        (Nav2's polygon is inscribed in the circle and therefore smaller than the robot.)
 
         Raises:
             InvalidValue: If the radius is not a finite number > 0.
@@ -118,17 +118,17 @@ class Footprint(FrozenArrays):
 
     @property
     def circumscribed_radius(self) -> float:
-        """Largest distance of a point of the outline from the origin [m]."""
+        """Largest distance [m] of a point of the outline from the origin."""
         return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
 
     def displacement(self, pose: Pose2, reference: Pose2) -> float:
-        """Return an upper bound of the distance that a point of the outline moves from `reference` to `pose` [m]."""
+        """Return an upper bound of the distance [m] that a point of the outline moves from `reference` to `pose`."""
         turn = normalize_angle(pose.yaw - reference.yaw)
         return float(displacement(pose.distance_to(reference), turn, self.circumscribed_radius))
 
     @property
     def inscribed_radius(self) -> float:
-        """Smallest distance of a point of the outline from the origin [m]."""
+        """Smallest distance [m] of a point of the outline from the origin."""
         start, edge = self.vertices, np.roll(self.vertices, -1, axis=0) - self.vertices
         along = np.clip(-np.sum(start * edge, axis=1) / np.sum(edge**2, axis=1), 0.0, 1.0)
         nearest = start + along[:, None] * edge

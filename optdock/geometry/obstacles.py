@@ -81,7 +81,7 @@ class ObstacleSet(FrozenArrays):
         )
 
     def _hold(self, names: tuple[str, ...], **arrays: FloatArray | IntArray) -> ObstacleSet:
-        """Set every field once; the arrays must not be referenced elsewhere."""
+        """Set every field once; no other object may reference the arrays."""
         vars(self).update(names=names, **{name: readonly(value) for name, value in arrays.items()})
         return self
 
@@ -115,7 +115,7 @@ class ObstacleSet(FrozenArrays):
     @classmethod
     @functools.cache
     def empty(cls) -> ObstacleSet:
-        """Return the set without obstacles, which is always the same object."""
+        """Return the empty set, which is always the same object."""
         return cls(np.zeros((0, 3, 2)), (), np.zeros(0, dtype=np.int64))
 
     @classmethod
@@ -171,7 +171,7 @@ class ObstacleSet(FrozenArrays):
         )
 
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
-        """Return the pieces at `rows`, with their names."""
+        """Return the pieces in `rows`, with their names."""
         parts = ("vertices", "group", "normals", "offsets", "lower", "upper")
         return object.__new__(ObstacleSet)._hold(self.names, **{part: getattr(self, part)[rows] for part in parts})
 
@@ -217,7 +217,7 @@ class ObstacleSet(FrozenArrays):
 
 
 def _widen(vertices: FloatArray, width: int) -> FloatArray:
-    """Repeat the last vertex until there are `width` vertices; Shape (..., n, 2) to (..., width, 2)."""
+    """Repeat the last vertex until there are `width` vertices; from Shape (..., n, 2) to Shape (..., width, 2)."""
     missing = width - vertices.shape[-2]
     if missing == 0:
         return vertices

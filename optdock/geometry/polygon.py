@@ -80,7 +80,7 @@ def _cross(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
 
 
 def _depth_of_dents(vertices: FloatArray) -> float:
-    """Return the largest distance of a vertex from the hull edge that closes its pocket [m]; it bounds every dent."""
+    """Return an upper bound of the depth of all dents: the largest distance of a vertex from its hull edge [m]."""
     corners = _hull_members(vertices)
     index = np.arange(len(vertices))
     nearest = np.searchsorted(corners, index, side="right") - 1
@@ -129,8 +129,8 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
 def edge_normals(vertices: FloatArray) -> FloatArray:
     """Return the outward unit normals of counter-clockwise edges (edge i starts at vertex i). Shape (..., n, 2).
 
-    An edge of length zero, which padding adds, has the normal of the previous edge. The normals of a polygon that
-    rounding has reduced to a point are arbitrary.
+    An edge of length zero, which results from padding, has the normal of the previous edge. If rounding has reduced a
+    polygon to a point, its normals are arbitrary.
     """
     edges = np.roll(vertices, -1, axis=-2) - vertices
     size = np.max(np.abs(edges), axis=-1)
@@ -199,7 +199,7 @@ def _oriented(points: FloatArray) -> _Ring:
 
 
 def _merge_convex(rings: list[_Ring]) -> list[_Ring]:
-    """Merge triangles over every diagonal whose removal leaves a convex piece; one pass is enough."""
+    """Merge triangles over every diagonal whose removal gives a convex piece, in a single pass."""
     pieces = dict(enumerate(rings))
     owner = {edge: i for i, ring in pieces.items() for edge in _edges(ring)}
     for a, b in [edge for edge in owner if edge < edge[::-1]]:

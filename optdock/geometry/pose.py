@@ -42,7 +42,7 @@ MOST_TURNED = 1e6  # [rad], largest yaw: the spacing of floats is then 1e-10 rad
 
 
 def check_range(poses: FloatArray, name: str) -> None:
-    """Check that poses, Shape (n, 3), are in the range in which floats have sufficient resolution.
+    """Check that poses, Shape (n, 3), are within the range in which floats have sufficient resolution.
 
     Raises:
         InvalidValue: If a coordinate is beyond 1e8 m or a yaw beyond 1e6 rad.
@@ -238,13 +238,13 @@ def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
 
 
 def displacement(off: Number, turn: Number, radius: float) -> Number:
-    """Return an upper bound of the distance that any point within `radius` of the origin moves [m].
+    """Return an upper bound of the distance [m] that any point within `radius` of the origin moves.
 
-    A rotation moves a point along a chord of at most 2 R |sin(turn / 2)|, so the bound is off + 2 R |sin(turn / 2)|.
+    A rotation moves a point along a chord of at most 2 R |sin(turn / 2)|, so the bound is `off` + 2 R |sin(turn / 2)|.
 
     Args:
         off: Distance between the positions, a number or an array [m].
-        turn: Angle between the headings, may exceed a whole turn [rad].
+        turn: Angle between the headings, which may exceed a whole turn [rad].
         radius: Radius of the body [m].
     """
     moved: Number = off + 2.0 * radius * np.abs(np.sin(0.5 * turn))

@@ -1,9 +1,9 @@
 """Exact signed distance between convex polygons, for many pairs at once, with the separating axis.
 
 For convex sets A and B every unit axis n gives a lower bound `min_A n.a - max_B n.b` of their signed distance, and the
-best axis attains it ([Ericson2005] ch. 5.2). For polygons the best axis is an edge normal of one of them, or the
-direction between two vertices. The maximum over these axes is therefore the exact distance, and the axis that attains
-the maximum proves it.
+best axis attains it ([Ericson2005] ch. 5.2). For polygons, the best axis is an edge normal of one of the two polygons,
+or the direction between two vertices. The maximum over these axes is therefore the exact distance, and the axis that
+attains the maximum proves it.
 
 If both polygons have many corners, most edges are skipped. A vertex a of A bounds the gap along every n from above,
 `min_A n.a' - max_B n.b <= n.a - max_B n.b`, so a normal whose bound is below a known gap cannot be the best axis.
@@ -40,7 +40,7 @@ class ConvexBody(NamedTuple):
 class ConvexPieces(NamedTuple):
     """Convex polygons in the world, one per column, all Shape (k, m): vertices, outward normals and offsets [m].
 
-    Pairs are along the last axis because reductions over few vertices are three times as fast in this layout.
+    Pairs are along the last axis, because reductions over few vertices are three times as fast in this layout.
     """
 
     x: FloatArray
@@ -50,7 +50,7 @@ class ConvexPieces(NamedTuple):
     offsets: FloatArray
 
     def columns(self, keep: slice | IntArray) -> ConvexPieces:
-        """Return the polygons at `keep`."""
+        """Return the polygons selected by `keep`."""
         return ConvexPieces(*(part[:, keep] for part in self))
 
 
@@ -123,7 +123,7 @@ class _BodyEdges(NamedTuple):
 def _along_likely_normals(
     before: _Along, at: _Corners, edges: _BodyEdges, pieces: ConvexPieces
 ) -> tuple[_Along, FloatArray]:
-    """Return the best of `before` and the likely normals, and an upper bound of all other gaps, Shape (m,)."""
+    """Return the best gap of `before` and the likely normals, and an upper bound of all other gaps, Shape (m,)."""
     corners, pair = _Corners(pieces.x, pieces.y), np.arange(pieces.x.shape[1])
     near = _picked(at, np.argmin(before.x * at.x + before.y * at.y, axis=0))
     far = _picked(corners, np.argmax(before.x * corners.x + before.y * corners.y, axis=0))

@@ -1,4 +1,4 @@
-"""Proofs that no motion exists, the searches for such proofs, and a checker that is independent of the searches.
+"""Proofs that no motion exists, searches for such proofs, and a checker that is independent of the searches.
 
 - `blocked_straight`: every motion ends with a straight line into the dock, and that line is blocked.
 - `proof`: the proof by blocked cells that separate the start from the goal, and its checker.

@@ -4,7 +4,7 @@
 problem, because a certificate requires that the last `final_straight` metres lead straight into the dock, in a gear
 that the dock allows (`path_rules`). A certified path therefore passes every pose on one of these straights, up to the
 tolerance of the certificate. For each straight the proof names a pose that violates the certificate: the footprint
-overlaps an obstacle, or its clearance is below the least clearance that any certificate requires there
+overlaps an obstacle, or its clearance is below the least clearance that any certificate requires at that pose
 (`least_required`), by more than the tolerance.
 
 The checker measures the clearances of these poses again, with shapely.
@@ -137,7 +137,7 @@ class _Document(BaseModel):
 def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
     """Return the proof that the final straight is blocked in every gear that the dock allows, or None.
 
-    The clearances of poses one centimetre apart are measured, which takes about a millisecond.
+    The clearances are measured at poses one centimetre apart, which takes about a millisecond.
     """
     straight, slack = problem.dock.final_straight, _slack(problem)
     if straight <= 0.0 or len(problem.all_obstacles) == 0:

@@ -3,9 +3,9 @@
 `proof` defines such proofs. Tiles of cells are refined until no route from the start to the goal is left, an open route
 is found, or the time has run out:
 
-1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
-2. Each cell of an examined tile is blocked, appears open, or is narrow, which means neither of the two. Connected cells
-   of one kind are one node of a graph.
+1. The plane is a quadtree of tiles. A tile that has not been examined counts as free.
+2. Each cell of an examined tile is blocked, appears open, or is narrow, which means that neither is known. Connected
+   cells of one kind are one node of a graph.
 3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These tiles are split.
 
 The examination of a tile takes a few milliseconds because its cells share one lattice of distances from the obstacles.
@@ -78,7 +78,6 @@ def prove_impossible(
 
     Motions of any kind include reversing and turning in place.
 
-
     Args:
         problem: The planning problem.
         time_budget: Wall-clock time [s]; the call returns at most a few milliseconds later.
@@ -94,7 +93,7 @@ class ImpossibilitySearch:
     """A search for a proof that can be continued after an interruption.
 
     The first search replaces the robot by the largest disc within it. A gap too narrow for the disc is too narrow for
-    the robot at any heading, and without headings there are a hundred times fewer cells.
+    the robot at any heading, and a search without headings has a hundred times fewer cells.
 
     Args:
         problem: The planning problem.
@@ -122,7 +121,8 @@ class ImpossibilitySearch:
             only_disc: Stop if there is no proof with the largest disc alone.
 
         Returns:
-            The proof, with a bottleneck as accurate as the time allows; None if no proof has been found so far.
+            The proof, with a bottleneck whose accuracy depends on the time used; None if no proof has been found so
+            far.
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
@@ -237,7 +237,7 @@ class _Search:
         self.graph.add([Tile(-self.grid.above, 0, 0)])
 
     def _grid(self) -> CellGrid:
-        """Return a grid of tiles that covers start, goal and the obstacles that are near enough to matter."""
+        """Return a grid of tiles that covers start, goal and the obstacles that are near enough to be relevant."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
@@ -275,7 +275,7 @@ class _Search:
         return bool(set.intersection(*found) - {0})
 
     def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
-        """Split the narrow tiles on the cheapest route until no route is left or a route is open.
+        """Split the narrow tiles on the cheapest route until no route is left or one route is open.
 
         After an interruption another call continues the search.
         """
@@ -295,7 +295,7 @@ class _Search:
         return proof
 
     def _split(self, graph: ConnectivityGraph, keys: set[int]) -> bool:
-        """Refine tiles that are not yet finest, by examination or splitting; return whether there are any."""
+        """Refine tiles above the finest level, by examination or splitting; return whether there are any."""
         keys = {key for key in keys if graph.tiles[key].level < FINEST}
         new: list[Tile] = []
         for key in sorted(keys):
@@ -309,7 +309,7 @@ class _Search:
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
-        """Return the proof when no route is left: cells around the goal, or otherwise around the start."""
+        """Return the proof when no route is left, with cells around the goal or, if that fails, around the start."""
         graph = self.graph
         goal = graph.reached(GOAL)
         end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)
@@ -359,7 +359,7 @@ class _Search:
                 yield bottleneck
 
     def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
-        """Return the bottleneck at a position of the disc, with the best heading of the body; None in an obstacle."""
+        """Return the bottleneck at a position of the disc, with the body's best heading; None inside an obstacle."""
         tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
         half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
         middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
@@ -523,7 +523,7 @@ class _Search:
         return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
-        """Return the names of the nearest obstacle to the robot at a pose and of the nearest on the other side."""
+        """Return the names of the obstacle nearest to the robot at a pose, and of the nearest one on the other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])

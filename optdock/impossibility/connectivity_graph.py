@@ -90,7 +90,7 @@ _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def by_certainty(grid: CellGrid) -> Kinds:
-    """Return a function that selects the open and the narrow cells of a tile; unexamined tiles are narrow.
+    """Return a function that selects the open and the narrow cells of a tile; unexamined tiles count as narrow.
 
     Cells whose margin exceeds half a cell appear open. All other cells that are not blocked are narrow.
     """
@@ -119,7 +119,7 @@ OUTSIDE, START, GOAL = range(3)  # nodes
 
 
 class ConnectivityGraph:
-    """Graph of the open and narrow cells of adjacent tiles, as selected by `kinds`; other cells are left out.
+    """Graph of the open and narrow cells of adjacent tiles, as selected by `kinds`; other cells are omitted.
 
     `ends`: poses of the centre at the start and the goal.
     """
@@ -263,7 +263,7 @@ class ConnectivityGraph:
 
 
 class PlaceGraph(ConnectivityGraph):
-    """Graph with a node per position cell, whose cost is a lower bound of the clearance that a disc lacks in the cell.
+    """Graph with a node per position cell, whose cost is a lower bound on the clearance that is missing for a disc.
 
     Costs are negative if the disc fits. Unexamined tiles have the lowest cost.
     """

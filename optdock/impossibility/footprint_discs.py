@@ -39,21 +39,20 @@ class DiscCover(NamedTuple):
 
     @property
     def turns(self) -> bool:
-        """Whether the heading matters."""
+        """Whether the heading of the robot matters."""
         return bool(self.discs[:, :2].any())
 
 
 @functools.lru_cache(maxsize=16)
 def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
-    """Return the cached list that holds the discs of a footprint; it is empty until they are computed."""
+    """Return the cached list of the discs of a footprint, which is empty until the discs are computed."""
     return []
 
 
 def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
     """Return the discs of a footprint, computed once.
 
-    `look` is called every few milliseconds. If `look` raises an exception, the exception is passed on and no result is
-    cached.
+    `look` is called every few milliseconds. An exception raised by `look` is passed on, and no result is cached.
     """
     kept = _bodies(footprint)
     if not kept:
@@ -107,7 +106,7 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
 
 
 def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
-    """Return columns such that one of them is true in every row, chosen greedily by the number of new rows."""
+    """Return columns of which at least one is true in every row, chosen greedily by the number of new rows."""
     chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
     while True:
         newly = np.flatnonzero(left & covers[:, chosen[-1]])

@@ -1,8 +1,8 @@
-"""A proof that no motion exists: a set of poses around the goal, or the start, whose whole rim is blocked.
+"""A proof that no motion exists: a set of poses around the goal or the start whose whole rim is blocked.
 
 **Theorem.** Let `check_cells(proof, problem)` be proven. Then no continuous motion of the robot from the start to the
-goal keeps the clearance that the problem requires, along any path of any curvature, with or without reversing or
-turning in place. The converse does not hold: without a proof a motion may or may not exist.
+goal has the clearance that the problem requires, along any path of any curvature, with or without reversing or turning
+in place. The converse does not hold: without a proof a motion may or may not exist.
 
 *Cells.* The poses are divided into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are the position of
 one point of the robot, `centre`. A cell is blocked if, with the robot at the middle of the cell, an obstacle is nearer
@@ -13,16 +13,17 @@ required, or inside it if no clearance is required.
 
 *The rim.* The proof names a set of cells, `inside`. The set lies around the inner end of the motion, which is the goal
 or the start. Every cell outside the set is blocked if it shares a face with a cell of the set or contains the inner
-end, and no cell of the set contains the other end. Suppose that a motion keeps the clearance. No cell that contains a
-pose of this motion is blocked, so one end of the motion is in the set and the other is outside. At the border of the
-set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that pose are joined
-by faces, so one of these cells that is in the set shares a face with another that is not. The cell outside the set is
-blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the plane hold 16 x 16 cells for
-every heading, and the cells of each level are half as large as the cells of the previous level.
+end, and no cell of the set contains the other end. Suppose that a motion has the required clearance. No cell that
+contains a pose of this motion is blocked, so one end of the motion is in the set and the other is outside. At the
+border of the set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that
+pose are joined by faces, so one of these cells inside the set shares a face with one of these cells outside the set.
+The cell outside the set is blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the
+plane contain 16 x 16 cells for every heading, and the cells of each level are half as large as the cells of the
+previous level.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
-micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers
-rounding. Near the start the weakest clearance rule that a certificate may apply is used.
+micrometres at a contact. A cell counts as blocked only if the inequality holds with a margin of ten micrometres
+(`SLACK`), which also covers rounding. Near the start the weakest clearance rule that a certificate may apply is used.
 
 The checker examines the rim again, with exact distances.
 """
@@ -83,9 +84,9 @@ class Bottleneck:
         x: Position of the robot's origin [m].
         y: Position of the robot's origin [m].
         yaw: Heading [rad].
-        missing_width: Width by which the gap is too narrow for the robot with the required clearance on both sides [m].
-        missing_without_clearance: Width by which the gap is too narrow for the body alone [m]; at most 0 if the body
-            fits.
+        missing_width: Width [m] by which the gap is too narrow for the robot with the required clearance on both sides.
+        missing_without_clearance: Width [m] by which the gap is too narrow for the robot without clearance; at most 0
+            if the robot fits.
         accuracy: Largest error of the two widths [m].
         between: Names of the nearest obstacles on both sides, one or two.
     """
@@ -129,10 +130,10 @@ class ImpossibilityProof(FrozenArrays):
         headings: Number of headings of level 0; multiplied by 2^k for level k.
         centre: The point of the robot whose position the cells describe, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
-        tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
+        tiles: The tiles that contain cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
         inside: For each tile, the mask of its cells that are in the set, Shape (headings, rows, columns).
         whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
-        bottleneck: The bottleneck; None if an end itself is blocked, or the time ran out.
+        bottleneck: The bottleneck; None if the start or the goal itself is blocked, or the time ran out.
         problem: Digests of the problem.
     """
 
@@ -324,7 +325,7 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
 
 
 def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
-    """Return a fault of a proof that can be found without examining cells; empty if there is none."""
+    """Return a fault of a proof that can be found without examining cells; empty if no fault is found."""
     import shapely
 
     every = np.concatenate((proof.tiles, proof.whole))

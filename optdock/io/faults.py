@@ -1,4 +1,4 @@
-"""Error messages of files: `file:line: key: rule, got value`."""
+"""Error messages for files, in the form `file:line: key: rule, got value`."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _fault(
 
 
 def _value_fault(key: Keys, message: str) -> Fault:
-    """Replace the name of the value in the message of a constructor by the key of the value in the file."""
+    """Replace the value's name in the message of a constructor by the value's key in the file."""
     found = _OWNER.match(message)
     if found is None:
         return Fault(key, message)

@@ -1,7 +1,8 @@
 """Reading of regular files of bounded size; all files of the library are read through this module.
 
-Pipes, devices and files of gigabytes raise `InvalidFile` before the read blocks or allocates memory. The size limits
-keep reading below one second and 500 MB on an onboard computer, and are many times the size of such files in practice.
+Pipes, devices and files of gigabytes raise `InvalidFile` before the read blocks or allocates memory. With the size
+limits, reading takes less than one second and 500 MB on an onboard computer; the limits are many times the sizes that
+occur in practice.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ __all__ = ["MostBytes", "check_json_size", "check_regular", "is_regular", "parse
 
 
 class MostBytes(IntEnum):
-    """Size limits by kind of file [bytes]."""
+    """Size limits [bytes] for each kind of file."""
 
     YAML = 4_000_000  # a Nav2 parameter file with comments has 30 kB; `yaml_lines` bounds the expanded size
     JSON = 32_000_000  # a plan of 50,000 samples has 22 MB, see `plan_file.MAX_SAMPLES`
@@ -121,7 +122,8 @@ def parse_json(text: str) -> object:
 
     Raises:
         ValueError: If the text is not JSON (`json.JSONDecodeError`), has a repeated key, an unpaired surrogate escape,
-            a number that is not finite or too long, is nested too deeply, or has more than two million values.
+            a number that is not finite or has too many digits, is nested too deeply, or has more than two million
+            values.
     """
     check_json_size(text)
     try:
@@ -156,7 +158,7 @@ def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
 
 
 def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return an object; repeated keys are rejected, because parsers differ in which value they keep."""
+    """Return an object; repeated keys are rejected, because parsers differ in the value that they keep."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:

@@ -91,8 +91,8 @@ def _check_size(path: Path, width: int, height: int) -> None:
 def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
     """Return the largest possible value in the file, which in a PGM may differ from 255 and 65535.
 
-    Pillow rejects larger values in a plain PGM but reads larger values in a raw PGM as white, so this function checks
-    them.
+    Pillow rejects larger values in a plain PGM but reads larger values in a raw PGM as white. This function therefore
+    checks the values of a raw PGM.
     """
     codec, _, offset, arguments = image.tile[0] if image.tile else ("", None, 0, ())
     if codec == "ppm_plain" and image.width * image.height > _MAX_PLAIN_PIXELS:

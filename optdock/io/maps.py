@@ -132,7 +132,7 @@ def load_map(path: str | Path) -> OccupancyGrid:
         path: The YAML file.
 
     Raises:
-        InvalidFile: If the YAML file or the image breaks the format; every fault is listed.
+        InvalidFile: If the YAML file or the image violates the format; every fault is listed.
     """
     _refuse_picture(Path(path))
     document = load_yaml(path)
@@ -155,7 +155,7 @@ def load_map(path: str | Path) -> OccupancyGrid:
 
 
 def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
-    """Write a costmap as a map: lethal cells are occupied, unknown cells unknown, all others free.
+    """Write a costmap as a map, in which lethal cells are occupied, unknown cells unknown, and all other cells free.
 
     Args:
         target: The YAML file; the image has the same name with the suffix `.pgm`.
@@ -200,7 +200,7 @@ def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:
 
 
 def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
-    """Return the image, even if another key is wrong, so that all faults are reported."""
+    """Return the image, even if another key is wrong, so that the faults of both are reported."""
     name = document.value.get("image") if isinstance(document.value, Mapping) else None
     if not (isinstance(name, str) and name):
         return None

@@ -1,8 +1,7 @@
 """Paths as columns of numbers in plan files.
 
 Samples alone are read as a polyline. If exact curves (`segments`) are given in addition, they define the path, and the
-samples must lie on it. If the numbers of the curves were rounded, so that the curves do not meet the samples, the
-samples are used.
+samples must lie on it. If the curves miss the samples because their numbers were rounded, the samples are used.
 """
 
 from __future__ import annotations
@@ -148,7 +147,7 @@ def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
 
 
 def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, poses: FloatArray) -> bool:
-    """Whether the numbers of the curves have at most six decimals and the curves miss the samples only by rounding."""
+    """Whether the numbers of the curves have at most six decimals, and only rounding separates curves and samples."""
     if columns.s is None or abs(columns.s[-1] - path.length) > _ROUNDED:
         return False
     apart, turned = _off_curves(np.array(columns.s), poses, path, _ROUNDED)
@@ -215,7 +214,7 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def _check_radians(poses: FloatArray, name: str) -> None:
-    """Reject yaws beyond 2 pi that are aligned with the motion only if read as degrees."""
+    """Reject yaws beyond 2 pi that agree with the direction of motion only if they are read as degrees."""
     step = np.diff(poses[:, :2], axis=0)
     moving = np.hypot(step[:, 0], step[:, 1]) > _STILL
     if np.count_nonzero(moving) < _ENOUGH or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
@@ -257,16 +256,16 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
 def check_sampled_curvature(columns: PathColumns, name: str) -> None:
     """Check the curvature at each sample against the ratio of heading change to chord length in the neighbouring steps.
 
-    The range of the ratios of the two steps before and the two steps after a sample is widened by its width and by the
-    rounding. Samples near a turn in place are not checked. The check applies only to drivable paths, because raw paths
-    may have corners between samples.
+    The accepted range covers the ratios of the two steps before and the two steps after a sample, widened by its width
+    and by the rounding. Samples near a turn in place are not checked. The check applies only to drivable paths, because
+    raw paths may have corners between samples.
 
     Args:
         columns: Samples of a path without curves.
         name: Name of the path in messages.
 
     Raises:
-        InvalidFile: If a curvature is outside of the range.
+        InvalidFile: If a curvature is outside the accepted range.
     """
     if columns.curvature is None:
         return

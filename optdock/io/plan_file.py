@@ -62,7 +62,7 @@ Time: TypeAlias = Annotated[float, Field(ge=-1e11, le=1e11)]  # [s]
 
 
 class TrajectoryColumns(SampledMotion):
-    """Samples of a timed motion in a plan file."""
+    """Samples of a timed motion, as columns of a plan file."""
 
     __slots__ = ()
 
@@ -269,7 +269,7 @@ class _TrajectoryDocument(_Model):
 
 
 class _Open(_Model):
-    """Documents whose unknown keys are kept."""
+    """Base model of documents whose unknown keys are kept."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="allow", allow_inf_nan=False)
 
@@ -278,7 +278,7 @@ _Positive: TypeAlias = Annotated[float, Field(ge=0.0, le=1e12)]
 
 
 class _VerdictDocument(_Open):
-    """Keys of both certificates."""
+    """Keys that both kinds of certificates have."""
 
     certified: bool | None = None
     path: str | None = None
@@ -345,7 +345,7 @@ def load_plan(source: str | FilePath) -> PlanFile:
     """Read a plan file from any source; unknown keys are ignored.
 
     Raises:
-        InvalidFile: If the file cannot be read, is not strict JSON, or breaks the format; every fault is listed.
+        InvalidFile: If the file cannot be read, is not strict JSON, or violates the format; every fault is listed.
     """
     source = FilePath(source)
     return parse_plan(read_text(source, MostBytes.JSON), str(source))
@@ -359,7 +359,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
         source: Name of the file for messages.
 
     Raises:
-        InvalidFile: If the text is not strict JSON or breaks the format; every fault is listed.
+        InvalidFile: If the text is not strict JSON or violates the format; every fault is listed.
     """
     document, unknown = _parsed(text, source)
     faults: list[str] = []
@@ -402,7 +402,7 @@ def _built(document: D | None, build: Callable[[D], T], faults: list[str]) -> T 
 
 
 def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Iterator[str]:
-    """Yield the keys that are ignored by the models of checked parts."""
+    """Yield the keys that the document models ignore, in the parts that are checked."""
     if not isinstance(values, dict):
         return
     for key, value in values.items():

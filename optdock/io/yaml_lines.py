@@ -1,7 +1,7 @@
 """YAML with line numbers for messages.
 
 Aliases and merge keys can expand a few bytes of YAML to a very large document, so the values are counted before any
-value is constructed: first as written, then as expanded.
+value is constructed, first as written and then as expanded.
 """
 
 from __future__ import annotations

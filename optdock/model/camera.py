@@ -2,7 +2,7 @@
 
 The field of view is a cone truncated by two circles. The margin of a point is a length and not an angle: the smallest
 of its signed distances to the edges of the cone and to the circles. This length is 1-Lipschitz in the position of the
-point, and it is regular near the camera, where bearings are singular.
+point. It remains regular near the camera, where bearings are singular.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Camera:
         mount: Pose of the camera in the robot frame; the optical axis is the x axis of this pose.
         field_of_view: Full angle of the cone, > 0 and <= 2 pi [rad].
         min_range: Smallest distance at which the marker is detected, >= 0 [m].
-        max_range: Largest distance at which the marker is detected, > min_range; may be infinite [m].
+        max_range: Largest distance [m] at which the marker is detected, > min_range; may be infinite.
 
     Raises:
         InvalidValue: If a value is out of range or the mount is not a `Pose2`.
@@ -154,8 +154,8 @@ class RequiredView(NamedTuple):
     def stretch(self, path: Path) -> tuple[float, float] | None:
         """Return the interval of `s` on which the marker must be visible [m], or None if it is empty.
 
-        Turns in place cover no distance. A turn belongs to the part if the distance to be driven after the turn is less
-        than `visible_distance` and at least `blind_distance`.
+        A turn in place has no length. It belongs to the part if the distance that remains after the turn is less than
+        `visible_distance` and at least `blind_distance`.
         """
         begin = max(0.0, place_before_end(path, self.visible_distance))
         end = place_before_end(path, self.blind_distance)
@@ -166,7 +166,7 @@ class RequiredView(NamedTuple):
         return self.camera.margins(self.camera.points_seen(poses, self.marker))
 
     def worst(self, margins: ViewMargins, at: int, required: float) -> ViewQuantity:
-        """Return the quantity that violates a required margin at row `at`, with the implied limit.
+        """Return the quantity that violates a required margin at row `at`, with the limit that follows from the margin.
 
         Args:
             margins: Margins of the poses.

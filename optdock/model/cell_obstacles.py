@@ -44,14 +44,14 @@ def obstacles_from_costmap(
     """Return the occupied cells as exact, disjoint, axis-aligned rectangles, together with the outside of the map.
 
     The groups are named `map` (occupied cells), `unknown` and `map border`. The border is an obstacle by default,
-    because the outside of the map is unknown and Nav2's collision checkers reject poses off the map. Four half-planes
-    represent it.
+    because the outside of the map is unknown and Nav2's collision checkers reject poses outside the map. Four
+    half-planes represent it.
 
     Args:
         costmap: The grid.
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles.
         region: Lower and upper corner [m] of the region of interest; cells that do not intersect the region are
-            omitted, and the run time is proportional to its size. None means the whole map.
+            omitted, and the run time is proportional to the size of the region. None means the whole map.
         border: Whether the outside of the map is an obstacle.
 
     Raises:
@@ -132,7 +132,7 @@ def is_same_grid(first: Costmap, second: Costmap) -> bool:
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:
-    """Return disjoint rectangles that cover exactly the true cells, from merged runs of rows or columns.
+    """Return disjoint rectangles that exactly cover the true cells, from merged runs of rows or columns.
 
     The direction of the runs that gives fewer rectangles is used.
 
@@ -148,7 +148,7 @@ def cell_rectangles(occupied: BoolArray) -> IntArray:
 
 
 def _merged_runs(occupied: BoolArray) -> IntArray:
-    """Return rectangles of true cells: runs in rows; equal runs in consecutive rows are merged. Shape (m, 4)."""
+    """Return rectangles of true cells: runs in rows, merged if runs in consecutive rows are equal. Shape (m, 4)."""
     padded = np.zeros((occupied.shape[0], occupied.shape[1] + 2), dtype=np.bool_)
     padded[:, 1:-1] = occupied
     # The number of changes per row is even, so the flat list alternates between starts and stops of runs.
@@ -181,7 +181,7 @@ def _checked_region(region: Region) -> tuple[FloatArray, FloatArray]:
 
 
 def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) -> tuple[IntArray, IntArray]:
-    """Return the first cell (i, j) of the box and the cell after its last cell; off the map the window is empty."""
+    """Return the first cell (i, j) of the box and the cell after its last cell; outside the map the window is empty."""
     size = np.array([costmap.columns, costmap.rows])
     if box is None:
         return np.zeros(2, dtype=np.int64), size

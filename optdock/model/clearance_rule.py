@@ -36,10 +36,11 @@ class ClearanceRule:
         at_dock: Clearance at the goal [m].
         taper: Distance over which the clearance grows linearly from `at_dock` to `required` [m].
         dock_run: Distance from the goal within which `at_dock` suffices [m]; the taper starts at this distance. A dock
-            next to an obstacle needs it, because a robot alongside a wall cannot turn away unless its tail or nose
-            approaches the wall.
-        at_start: Clearance at a start that violates `required`, such as a start in a dock [m]; it grows with distance
-            like `at_dock`. If None, such a robot may approach the obstacle by at most `START_SLACK`.
+            next to an obstacle needs such a distance, because a robot alongside a wall cannot turn away unless its tail
+            or nose approaches the wall.
+        at_start: Clearance at a start that violates `required`, such as a start in a dock [m]; the required clearance
+            grows with the distance in the same way as from `at_dock`. If None, a robot at such a start may approach the
+            obstacle by at most `START_SLACK`.
 
     Raises:
         InvalidValue: If a value is negative or not finite, or at_dock or at_start exceeds required.
@@ -53,7 +54,7 @@ class ClearanceRule:
 
     @classmethod
     def of(cls, value: float | ClearanceRule, name: str = "clearance") -> ClearanceRule:
-        """Return a rule unchanged, or the rule that requires one number [m] everywhere, including at the dock.
+        """Return a rule unchanged; a number [m] gives the rule that requires it everywhere, including at the dock.
 
         Raises:
             InvalidValue: If the value is neither a rule nor a finite number >= 0.
@@ -81,8 +82,8 @@ class ClearanceRule:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
             from_start: Distances from the start position, Shape (n,) [m].
             start_clearance: Clearance of the start pose [m].
-            start_relief: 0 for the strict rule; otherwise the distance from the start within which the weaker rule
-                requires at most the clearance of the start, e.g. for a robot alongside a wall [m].
+            start_relief: 0 for the strict rule; otherwise the distance [m] from the start within which the weaker rule
+                requires at most the clearance of the start, e.g. for a robot alongside a wall.
         """
         return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
 
@@ -132,7 +133,11 @@ class ClearanceRule:
 
     @property
     def parts(self) -> tuple[float, ...]:
-        """Numbers that enter the digest; parameters added later enter only if set, so older digests stay valid."""
+        """Numbers that enter the digest.
+
+        Parameters that were added later enter the digest only if they are set, so digests of earlier versions stay
+        valid.
+        """
         least = () if self.at_start is None else (self.at_start,)
         return self.required, self.at_dock, self.taper, *((self.dock_run, *least) if self.dock_run or least else ())
 

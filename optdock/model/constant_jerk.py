@@ -1,7 +1,7 @@
 """Motion under piecewise constant jerk: states, braking, and the time law of a trajectory.
 
-The library has no other implementation of this motion: `constant_jerk` evaluates it within a phase, `border_states`
-over many phases. The reference implementations in `experiments` are deliberately independent.
+This is the only implementation of this motion in the library: `constant_jerk` evaluates it within a phase, and
+`border_states` over many phases. The reference implementations in `experiments` are deliberately independent.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, 
 def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tuple[tuple[float, float], ...]:
     """Return the phases (duration [s], jerk [m/s^3]) of full braking to rest: -J to -D, hold, and +J to rest.
 
-    The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. Moving the acceleration from a
-    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most D, and the remaining speed is reduced at
-    the deceleration b. An initial deceleration beyond D is first reduced to D.
+    The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. A change of the acceleration
+    from a to -b and then to 0 changes the speed by (a^2 - 2 b^2) / (2 J). The deceleration b is at most D, and the
+    remaining speed is reduced at the deceleration b. An initial deceleration beyond D is first reduced to D.
 
     Args:
         v: Speed along the travel [m/s].
@@ -164,7 +164,7 @@ class TimeLaw(FrozenArrays):
         return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
 
     def phase_middles(self, t: FloatArray) -> FloatArray:
-        """Return the mean of the two end distances of the phase at each time `t`, Shape (n,) [s]. Shape (n,) [m]."""
+        """Return, for each time `t`, Shape (n,) [s], the mean of the end distances of its phase. Shape (n,) [m]."""
         phase = self._phases_at(t)
         middles: FloatArray = 0.5 * (self.states[phase, 0] + self.states[phase + 1, 0])
         return middles

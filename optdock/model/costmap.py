@@ -38,7 +38,7 @@ _FAR = 2.0**40  # cells; index limit of points that are farther or not finite
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Costmap:
-    """Grid of square cells with one cost each; cell (i, j) is in column i (along x) and row j (along y).
+    """Grid of square cells, each with one cost; cell (i, j) is in column i (along x) and row j (along y).
 
     Args:
         data: Shape (rows, columns), integers 0..255; row 0 has the lowest y. Copied and made read-only.
@@ -76,7 +76,7 @@ class Costmap:
     def writable(
         cls, shape: tuple[int, int], resolution: float, origin: tuple[float, float], fill: int = FREE_SPACE
     ) -> Costmap:
-        """Return a grid that layers can write into, to be published as `frozen()` copies.
+        """Return a grid into which layers can write; its `frozen()` copies can be published.
 
         Args:
             shape: Rows and columns.
@@ -130,10 +130,10 @@ class Costmap:
         return self.origin[0] + self.columns * self.resolution, self.origin[1] + self.rows * self.resolution
 
     def cell_of(self, points: ArrayLike) -> IntArray:
-        """Return the cells (i, j) of points: floor((point - origin) / resolution), also for points off the map.
+        """Return the cells (i, j) of points: floor((point - origin) / resolution), also for points outside the map.
 
         Args:
-            points: Shape (n, 2) [m]; points that are not finite map to cells off the map.
+            points: Shape (n, 2) [m]; points that are not finite are assigned to cells outside the map.
 
         Returns:
             Shape (n, 2), column i and row j.
@@ -143,7 +143,7 @@ class Costmap:
         return cells
 
     def centre_of(self, cells: ArrayLike) -> FloatArray:
-        """Return the centres of cells (i, j), Shape (n, 2), also off the map. Shape (n, 2) [m]."""
+        """Return the centres of cells (i, j), Shape (n, 2), also outside the map. Shape (n, 2) [m]."""
         centres: FloatArray = np.array(self.origin) + (np.asarray(cells, dtype=np.float64) + 0.5) * self.resolution
         return centres
 
@@ -157,7 +157,7 @@ class Costmap:
         return self.has_cell(self.cell_of(points))
 
     def cost_at(self, points: ArrayLike) -> CostArray:
-        """Return the costs at points, Shape (n, 2) [m]; NO_INFORMATION off the map. Shape (n,)."""
+        """Return the costs at points, Shape (n, 2) [m]; NO_INFORMATION outside the map. Shape (n,)."""
         cells = self.cell_of(points)
         inside = self.has_cell(cells)
         costs = np.full(inside.shape, NO_INFORMATION, dtype=np.uint8)

@@ -65,16 +65,16 @@ class Dock:
     Args:
         pose: Pose of the docked robot.
         footprint: Outline of the station in the frame of the docked robot, or None. The station is an obstacle.
-        direction: Gear of the last motion, a `DockDirection` or its value; with AUTO the planner chooses the gear by
-            the side on which the start lies.
+        direction: Gear of the last motion, a `DockDirection` or its value; with AUTO the planner chooses the gear
+            according to the side on which the start lies.
         final_straight: Length of the straight line at the end of the path [m].
-        approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
+        approach_speed: Largest speed [m/s] over the last `approach_distance` of the path, in either gear.
         approach_distance: Length of the speed zone at the end of the path [m]; 0 for no zone.
         tolerances: Tolerances of the docked pose.
         marker: Point that the robot's camera detects, (x, y) in the frame of the docked robot [m], or None. The
             orientation of the marker is not modelled.
         visible_distance: Length of the last part of the path on which the marker must be in the view of `Robot.camera`
-            [m]. For a shorter path this is the whole path; 0 means no requirement.
+            [m]. On a shorter path, the marker must be in view on the whole path; 0 means no requirement.
         blind_distance: Length of the last part of the path on which the marker may be invisible [m].
 
     Raises:

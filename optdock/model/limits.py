@@ -40,7 +40,7 @@ __all__ = [
 
 
 class LimitKind(str, Enum):
-    """What a limited quantity depends on; this determines the certificate that proves the limit.
+    """Variables on which a limited quantity depends; they determine the certificate that proves the limit.
 
     Trajectory certificates prove the first two kinds, and path certificates prove the last kind.
     """
@@ -76,7 +76,7 @@ class Limit(NamedTuple):
     Attributes:
         name: Field of `MotionLimits`.
         unit: SI.
-        kind: What the quantity depends on.
+        kind: Variables on which the quantity depends.
         formula: The bounded quantity in terms of speed v, its derivatives a and j, curvature k and its derivative k'
             per metre, track width b and wheelbase L.
         words: Description for the reference documentation.
@@ -173,7 +173,7 @@ class MotionLimits:
         max_yaw_acceleration: [rad/s^2].
         max_lateral_acceleration: speed^2 * |curvature| [m/s^2].
         max_wheel_speed: Rim speed of either wheel, |v| * (1 + track_width / 2 * |curvature|) [m/s].
-        track_width: Distance between the wheels [m]; used with max_wheel_speed and for turns in place.
+        track_width: Distance between the wheels [m]; used for max_wheel_speed and for turns in place.
         max_curvature: 1 / smallest turning radius [1/m]; reduced to the curvature at `max_steering_angle` if that is
             smaller.
         max_curvature_rate: |d curvature / ds| [1/m^2].
@@ -224,7 +224,7 @@ class MotionLimits:
 
         If the track width is known, the wheels satisfy max_wheel_speed and the smaller of max_acceleration and
         max_deceleration. The yaw jerk is chosen such that the yaw acceleration builds up in the same time as the linear
-        one, which is the larger of max_acceleration and max_deceleration divided by max_jerk.
+        acceleration. This time is the larger of max_acceleration and max_deceleration, divided by max_jerk.
         """
         lever = 0.5 * self.track_width
         rate = min(self.max_yaw_rate, self.max_wheel_speed / lever if lever > 0.0 else math.inf)
@@ -235,7 +235,7 @@ class MotionLimits:
     def steering_angle(self, curvature: FloatArray) -> FloatArray:
         """Return the steering angle on a path of this curvature, negated if driven in reverse. Shape (n,) [rad].
 
-        Bicycle model [DeLuca2001]: the yaw rate is speed / wheelbase * tan(angle), with the sign of the speed.
+        In the bicycle model [DeLuca2001], the yaw rate is speed / wheelbase * tan(angle), with the sign of the speed.
         """
         angle: FloatArray = np.arctan(self.wheelbase * curvature)
         return angle
@@ -253,21 +253,21 @@ class MotionLimits:
     def steering_times(self, curvatures: FloatArray) -> FloatArray:
         """Return the times to steer between pairs of curvatures, Shape (n, 2) [1/m]. Shape (n,) [s].
 
-        The curvatures have the sign for driving forward.
+        The signs of the curvatures are those for driving forward.
         """
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
         return turned / self.max_steering_rate
 
     def start_wait(self, path: Path) -> float:
-        """Return the longest time to steer wheels from an unknown angle to the angle at the start of `path` [s]."""
+        """Return the longest time [s] to steer the wheels from an unknown angle to the angle at the start of `path`."""
         first = path.segments[0]
         return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
 
     def steering_time_to(self, curvature: float) -> float:
-        """Return the longest time to steer from an unknown angle to the angle for a curvature [1/m], in [s].
+        """Return the longest time [s] to steer from an unknown angle to the angle for a curvature [1/m].
 
-        The farthest initial angle is `max_steering_angle`. If that is unlimited, it is the angle for `max_curvature`,
-        and a quarter turn if both are unlimited. The time is 0 if `max_steering_rate` is unlimited.
+        The farthest initial angle is `max_steering_angle`. If this angle is unlimited, the farthest angle is the angle
+        for `max_curvature`, or a quarter turn if both are unlimited. The time is 0 if `max_steering_rate` is unlimited.
         """
         if not math.isfinite(self.max_steering_rate):
             return 0.0
@@ -278,7 +278,7 @@ class MotionLimits:
 
 
 def finite_limits(limits: MotionLimits) -> dict[str, float]:
-    """Return all finite bounds by name, including bounds that `LIMITS` does not list."""
+    """Return all finite bounds by name, including bounds that are not in `LIMITS`."""
     values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 

@@ -95,7 +95,7 @@ class Path(FrozenArrays):
     def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
         """Return a polyline path with gears from the sign of (motion . heading) and cusps at changes of gear.
 
-        Repeated poses are dropped. A step without motion of the position has the gear of the step before.
+        Repeated poses are dropped. A step that does not change the position has the gear of the previous step.
 
         Args:
             poses: Shape (n, 3) [m, m, rad] or poses.
@@ -123,10 +123,10 @@ class Path(FrozenArrays):
         )
 
     def with_frame(self, frame: str) -> Path:
-        """Return the same path with the name of its frame set; an empty name has no effect.
+        """Return the same path with the given frame name; an empty name has no effect.
 
         Raises:
-            InvalidPath: If the path is in a different frame, because poses are not transformed.
+            InvalidPath: If the path is in a different frame; poses are not transformed.
         """
         if frame in ("", self.frame):
             return self
@@ -141,7 +141,7 @@ class Path(FrozenArrays):
 
     @property
     def length(self) -> float:
-        """Arc length over all gears and turns in place, which is the largest `s` [m]."""
+        """Arc length [m] over all gears and turns in place, which is the largest `s`."""
         return float(self.segment_starts[-1])
 
     @property
@@ -179,7 +179,7 @@ class Path(FrozenArrays):
 
     @property
     def cusps(self) -> tuple[float, ...]:
-        """Arc lengths at which the robot rests: gear changes, and begins and ends of turns in place [m]."""
+        """Arc lengths [m] at which the robot rests: gear changes, and the two ends of turns in place."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
     @functools.cached_property
@@ -272,7 +272,7 @@ def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
 
 
 def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
-    """Sample a polyline by pose number, because arc length cannot distinguish poses of steps without length."""
+    """Sample a polyline by pose number, because arc length does not distinguish the poses of a step of zero length."""
     counts = np.maximum(1, np.ceil(np.diff(segment.knots) / spacing - 1e-9)).astype(np.int64)
     borders = np.arange(segment.knots.size)
     step = np.append(np.concatenate([i + np.arange(n) / n for i, n in enumerate(counts)]), borders[-1])
@@ -312,7 +312,7 @@ def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
 
 
 def place_before_end(path: Path, distance: float) -> float:
-    """Return the `s` at which `distance` [m] remains to be driven; negative if the path is shorter."""
+    """Return the `s` at which `distance` [m] remains to be driven; the result is negative if the path is shorter."""
     s = path.length - distance
     for segment, end in (
         zip(path.segments[::-1], path.segment_starts[:0:-1].tolist(), strict=True) if path.turns else ()

@@ -80,11 +80,11 @@ class DockingProblem(FrozenArrays):
         clearance: Required clearance for every pose in the tracking tube: a `ClearanceRule`, or one number [m] that
             applies everywhere, including at the dock.
         start_speed: Signed speed at the start, negative in reverse [m/s].
-        start_curvature: Curvature at the start of the path along the travel [1/m]. None leaves it free: steered wheels
-            may then have any angle, and the robot waits at rest until they are turned (`start_wait`).
-        start_acceleration: Derivative of the signed speed at the start [m/s^2]. Path planning does not use it. Start
-            states that differ from rest only by rounding count as rest.
-        costmap: Grid of the surroundings, or None. It is read on construction; a writable grid is copied.
+        start_curvature: Curvature at the start of the path along the travel [1/m]. None means any curvature: steered
+            wheels may then have any angle, and the robot waits at rest until they are steered (`start_wait`).
+        start_acceleration: Derivative of the signed speed at the start [m/s^2]. Path planning does not use this value.
+            Start states that differ from rest only by rounding count as rest.
+        costmap: Grid of the surroundings, or None. The grid is read on construction; a writable grid is copied.
         frame: Name of the coordinate frame.
         unknown_is_obstacle: Whether unknown cells of the costmap are obstacles.
 
@@ -237,7 +237,7 @@ class DockingProblem(FrozenArrays):
         Args:
             start: Start pose of the robot.
             speed: Signed speed, negative in reverse [m/s].
-            curvature: Curvature along the travel [1/m]; None leaves it free.
+            curvature: Curvature along the travel [1/m]; None means any curvature.
             acceleration: Derivative of the signed speed [m/s^2].
 
         Raises:
@@ -259,7 +259,7 @@ class DockingProblem(FrozenArrays):
         return abs(self.start_speed), sign * self.start_acceleration
 
     def start_wait(self, path: Path) -> float:
-        """Return the waiting time at the start of a motion along `path` until steered wheels are turned [s].
+        """Return the time [s] for which the robot waits at the start of `path` until its wheels are steered.
 
         The time is 0 if `start_curvature` is given; see `MotionLimits.start_wait`.
         """
@@ -267,17 +267,17 @@ class DockingProblem(FrozenArrays):
 
     @functools.cached_property
     def path_clearance(self) -> ClearanceRule:
-        """Clearance rule of the path, which ensures that every pose in the robot's tracking tube keeps `clearance`."""
+        """Clearance rule of the path, which ensures `clearance` for every pose in the robot's tracking tube."""
         wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
         return dataclasses.replace(self.clearance, required=wider)
 
     def tube_widths(
         self, poses: FloatArray, start: Pose2, start_clearance: float, start_relief: float = 0.0
     ) -> FloatArray:
-        """Return the largest displacements of the footprint from poses of a path for which `clearance` is kept.
+        """Return the largest displacements of the footprint from poses of a path that satisfy `clearance`.
 
-        They are the differences between `path_clearance` and `clearance`, which are zero at the dock, where the robot
-        comes to rest in contact, and near a start without additional clearance.
+        The displacements are the differences between `path_clearance` and `clearance`, which are zero at the dock,
+        where the robot comes to rest in contact, and near a start without additional clearance.
 
         Args:
             poses: Poses of the path, Shape (n, 3).
@@ -298,7 +298,7 @@ class DockingProblem(FrozenArrays):
 
     @functools.cached_property
     def required_view(self) -> RequiredView | None:
-        """Marker, and the part of the path on which it must be visible; None without such a requirement."""
+        """Marker and the part of the path on which it must be visible; None if visibility is not required."""
         dock, camera, marker = self.dock, self.robot.camera, self.dock.marker_in_world
         if dock.visible_distance == 0.0 or marker is None or camera is None:
             return None
@@ -338,8 +338,8 @@ class DockingProblem(FrozenArrays):
         """Start relief of the weaker clearance rule [m], which is twice the length of the robot.
 
         A robot alongside a wall that is closer than the required clearance cannot move away at once, because its tail
-        swings towards the wall. Over this distance no more than its start clearance is therefore required. With a
-        relief of one robot length, a robot of 0.9 m cannot leave a wall at 1 cm without a cusp.
+        swings towards the wall. Over this distance, the rule therefore requires no more than the clearance at the
+        start. With a relief of one robot length, a robot of 0.9 m cannot leave a wall at 1 cm without a cusp.
         """
         footprint = self.robot.footprint
         return 2.0 * min(footprint.length, 2.0 * footprint.circumscribed_radius)
@@ -385,10 +385,10 @@ class DockingProblem(FrozenArrays):
 
 
 def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
-    """Return a signed start state without the rounding errors of rest or of the end of braking.
+    """Return a signed start state without the rounding errors that occur at rest or at the end of braking.
 
-    From a state with such errors, the robot would reverse by an unmeasurable distance. The state is replaced by rest,
-    or its speed is replaced by the lowest speed from which the braking can end without reversing.
+    From a state with such errors, the motion would reverse by an unmeasurably small distance. The state is replaced by
+    rest, or its speed is replaced by the lowest speed from which the braking can end without reversing.
     """
     if max(abs(speed), abs(acceleration)) <= _ROUNDING:
         return 0.0, 0.0
@@ -400,7 +400,7 @@ def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[f
 
 
 def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:
-    """Check that the station is close to the docked robot; otherwise its coordinates are in the wrong frame."""
+    """Check that the station is close to the docked robot; a distant station is probably in the wrong frame."""
     outline = robot.footprint.vertices
     length = float(_corner_distances(outline, outline).max())
     allowed = max(STATION_DISTANCE, length)

@@ -33,9 +33,9 @@ class TrackingTube:
     """Largest deviation of the robot from its path; a certificate holds for every pose within the tube.
 
     A position error `cross` and a heading error `yaw` move no point of the footprint by more than cross + 2 R sin(yaw /
-    2), where R is the circumscribed radius. The path keeps this distance in addition to the required clearance. Near
-    the dock the tube tapers like the clearance, because the robot comes to rest in contact. `optdock simulate` prints
-    the tube that a drive needs.
+    2), where R is the circumscribed radius. The path has this distance from obstacles in addition to the required
+    clearance. Near the dock the tube tapers like the clearance, because the robot comes to rest in contact. `optdock
+    simulate` prints the width of the tube that a drive needs.
 
     Args:
         cross: Largest distance from the path [m].
@@ -56,7 +56,7 @@ class TrackingTube:
                 raise InvalidValue(f"robot.tracking.{name}: must be finite and >= 0{up_to} {unit}, got {value}")
 
     def width(self, footprint: Footprint) -> float:
-        """Return the largest displacement of a point of the footprint within the tube [m]."""
+        """Return the largest displacement [m] of a footprint point within the tube."""
         return float(displacement(self.cross, self.yaw, footprint.circumscribed_radius))
 
 
@@ -100,7 +100,7 @@ class Robot:
 
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
-        """Digests that tie certificates to the robot."""
+        """Digests by which a certificate identifies the robot."""
         # Unused features are not digested, so certificates stay valid when optdock gains new limits.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
         values = {spec.name: getattr(self.limits, spec.name) for spec in fields(self.limits)}

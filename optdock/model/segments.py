@@ -2,7 +2,7 @@
 
 A turn in place covers no distance, so arc length cannot distinguish its poses. It therefore occupies an interval of the
 path coordinate s as long as the arc of a point 1 m from the robot's origin, which is 1 m per rad. Every s then has
-exactly one pose, and a time law over s describes a turn like a curve, with the yaw rate as speed and the yaw
+exactly one pose. A time law over s describes a turn in the same way as a curve, with the yaw rate as speed and the yaw
 acceleration as acceleration. Proofs, samples and files treat turns like other segments. Only driven distances must
 exclude turns.
 """
@@ -88,7 +88,7 @@ class ClothoidSegment(FrozenArrays):
 
     @property
     def direction(self) -> Direction:
-        """Gear."""
+        """Gear of the segment."""
         return Direction(self.spline.sign)
 
     @property
@@ -173,9 +173,9 @@ class PolylineSegment(FrozenArrays):
     def step_swing(self) -> FloatArray:
         """Variation of the curvature per metre of every step, Shape (n - 1,) [1/m^2].
 
-        It is half the sum of the absolute changes of curvature at both ends of the step, divided by the length of the
-        step. For monotonic curvature it equals the slope of `curvature_at`. It also detects an oscillation from step to
-        step, which is not visible in the mean curvatures at the poses.
+        The variation is half the sum of the absolute curvature changes at both ends of the step, divided by the length
+        of the step. For monotonic curvature, the variation equals the slope of `curvature_at`. It also detects an
+        oscillation from step to step, which the mean curvatures at the poses do not show.
         """
         swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
         changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))
@@ -211,14 +211,14 @@ class PolylineSegment(FrozenArrays):
 class TurnSegment(FrozenArrays):
     """A turn in place: constant position, yaw from one heading to another.
 
-    Only robots with `turns_in_place` can drive it. The robot is at rest at both ends.
+    Only robots with `turns_in_place` can execute a turn. The robot is at rest at both ends.
 
     Args:
         pose: Pose at the beginning.
         turn: Angle, left positive; may exceed a whole turn [rad].
 
     Attributes:
-        knots: Begin and end of the interval of s, whose length is `TURN_RADIUS` * |turn|, Shape (2,) [m].
+        knots: Bounds of the interval of s, whose length is `TURN_RADIUS` * |turn|, Shape (2,) [m].
 
     Raises:
         InvalidValue: If `pose` is not a `Pose2`, or the turn is 0, not finite, or leads beyond 1e6 rad.
@@ -241,12 +241,12 @@ class TurnSegment(FrozenArrays):
 
     @property
     def direction(self) -> Direction:
-        """Neither gear."""
+        """Value 0, because a turn in place has no gear."""
         return Direction.IN_PLACE
 
     @property
     def length(self) -> float:
-        """Length of the interval of s [m]."""
+        """Length [m] of the interval of s."""
         return float(self.knots[-1])
 
     @property

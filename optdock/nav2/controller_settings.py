@@ -1,4 +1,4 @@
-"""Settings that are set by the parameters of Nav2's docking controller."""
+"""Settings that follow from the parameters of Nav2's docking controller."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _ROUNDING = 1e-9
 
 
 class ControllerSetting(NamedTuple):
-    """Effect of one parameter.
+    """Effect of one parameter of Nav2's docking controller.
 
     Attributes:
-        values: Settings that it sets; empty if the value has no effect.
+        values: Settings that the parameter sets; empty if the value has no effect.
         words: The effect in one line.
         is_refused: Whether the value is refused; `words` is then the error message.
     """
@@ -35,10 +35,10 @@ class ControllerSetting(NamedTuple):
 
 
 def controller_settings(server: Mapping[str, object]) -> dict[str, ControllerSetting]:
-    """Return the effects of the parameters of the block `controller` that set others, by name.
+    """Return, by name, the effects of the parameters in the block `controller` that set other settings.
 
     Args:
-        server: All parameters of a docking server. Values that are not finite numbers are left out.
+        server: All parameters of a docking server. Values that are not finite numbers are ignored.
     """
     controller = inner_block(server, "controller")
     numbers = {name: float(value) for name, value in controller.items() if is_number(value) and math.isfinite(value)}

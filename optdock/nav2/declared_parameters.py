@@ -1,4 +1,4 @@
-"""Every parameter that Nav2's docking and smoother servers declare, by distribution, and its meaning here.
+"""All parameters that Nav2's docking and smoother servers declare, by distribution, and their use in optdock.
 
 `DECLARED` is the single table: the servers of `optdock_ros`, `optdock plugins --nav2-params` and the reference use it.
 """
@@ -31,7 +31,7 @@ NAV2_DOCKS = ("opennav_docking::SimpleChargingDock", "opennav_docking::SimpleNon
 
 
 class Block(str, Enum):
-    """Place of a parameter in a file."""
+    """Location of a parameter in a parameter file."""
 
     ANY_NODE = "every node"
     DOCKING = "docking_server"
@@ -43,7 +43,7 @@ class Block(str, Enum):
 
 
 class Use(str, Enum):
-    """Use of a parameter of Nav2."""
+    """How optdock uses a parameter of Nav2."""
 
     READ = "read"
     MAPPED = "mapped"
@@ -52,14 +52,16 @@ class Use(str, Enum):
 
 
 class DeclaredParameter(NamedTuple):
-    """One parameter of Nav2.
+    """One parameter of Nav2, and how optdock uses it.
 
     Attributes:
-        block: Place in a file.
+        block: Location in a parameter file.
         name: Name within the block.
-        use: Use here.
-        words: Setting to which it is mapped, reason why it has no effect on the motion, or the setting to use instead.
-        distributions: Distributions whose servers declare it; none for names of development versions and other nodes.
+        use: Use in optdock.
+        words: Setting to which the parameter is mapped, the reason why the parameter has no effect on the motion, or
+            the setting to use instead.
+        distributions: Distributions whose servers declare it; empty for names in development versions and in other
+            nodes.
     """
 
     block: Block
@@ -280,5 +282,5 @@ def found(block: Block, name: str) -> DeclaredParameter | None:
 
 
 def names_of(block: Block, *uses: Use) -> frozenset[str]:
-    """Return the names of Nav2's parameters in a block, of these uses or all."""
+    """Return the names of Nav2's parameters in a block, all or only those with the given uses."""
     return frozenset(row.name for row in DECLARED.values() if row.block is block and (not uses or row.use in uses))

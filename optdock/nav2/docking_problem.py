@@ -61,12 +61,12 @@ def nav2_scenario(
     docks_source: str | Path | None = None,
     dock_name: str | None = None,
 ) -> Nav2Scenario:
-    """Return the problem of driving into a dock that Nav2's files describe.
+    """Return the problem of driving into a dock that is described in Nav2's files.
 
-    The footprint is the padded footprint of the global costmap; the speeds and accelerations come from the velocity
-    smoother; the approach speed and the gear come from the docking server and the dock type. Nav2 has no curvature
-    limit, no outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is
-    the global costmap of the file, built over the map by `file_costmap`.
+    The footprint is the padded footprint of the global costmap. The speeds and accelerations are taken from the
+    velocity smoother, and the approach speed and the gear from the docking server and the dock type. Nav2 has no
+    curvature limit, no outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The
+    costmap is the global costmap of the file, built over the map by `file_costmap`.
 
     Args:
         params_source: Parameter file.
@@ -76,7 +76,7 @@ def nav2_scenario(
         dock_name: Name of the dock; optional if there is exactly one dock.
 
     Raises:
-        InvalidFile: If a file breaks its format or has no costmap.
+        InvalidFile: If a file violates its format or has no costmap.
         DockNotValid: If the frame of the dock is not the frame of the map, or its type is not among the parameter
             file's dock types. In a file without dock types every dock is entered forward, which is Nav2's default.
         DockNotInDB: If there is no dock of that name, or there are several docks and no name is given.
@@ -175,7 +175,7 @@ def _given_limits(params: Nav2Params) -> dict[str, float]:
 
 
 def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> float | None:
-    """Return the magnitude of one component of a vector of three or six numbers, or None if there is no such vector."""
+    """Return the magnitude of a component of a vector with three or six numbers, or None if there is no such vector."""
     vector = values.get(name)
     if vector is None:
         return None
@@ -193,7 +193,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
 
 
 def _approach(params: Nav2Params, dock_type: DockTypeParams) -> SpeedZone:
-    """Return the speed zone from the staging pose on, with the speed of the docking controller."""
+    """Return the speed zone that begins at the staging pose, with the speed of the docking controller."""
     controller = params.node("docking_server").get("controller", {})
     place = f"{params.source}: docking_server.controller"
     if not isinstance(controller, Mapping):

@@ -1,7 +1,7 @@
 """Nav2's docks: poses from dock databases or parameter files, and dock types.
 
-Every dock is read separately. In Nav2's file loader, the `id` of one dock is also used for the docks
-below it. All faults are reported together.
+Every dock is read separately, whereas Nav2's file loader also uses the `id` of one dock for the docks below it. All
+faults are reported together.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _DEFAULT_FRAME = "map"
 def docked_pose(dock: Pose2, direction: DockDirection) -> Pose2:
     """Return the pose of the docked robot; the x axis of Nav2's dock poses points into the dock for both directions.
 
-    Applied to the pose of the docked robot, the function returns the dock's pose.
+    The function also converts in the other direction: for the pose of the docked robot, it returns the dock's pose.
     """
     return dock @ Pose2(0.0, 0.0, math.pi) if direction is DockDirection.BACKWARD else dock
 
@@ -65,8 +65,8 @@ def read_dock_type(name: str, block: ParameterBlock, *, dock_backwards: object =
     Args:
         name: Name of the dock type.
         block: Parameters of the dock type.
-        dock_backwards: Gear into all docks, a parameter of the docking server; if it is not a bool, `dock_direction`
-            of the dock type applies.
+        dock_backwards: Gear for all docks, a parameter of the docking server; if it is not a bool, `dock_direction` of
+            the dock type applies.
     """
     usual = _DIRECTIONS[dock_backwards is True]
     direction = block.text("dock_direction", usual)
@@ -89,7 +89,7 @@ def read_dock_type(name: str, block: ParameterBlock, *, dock_backwards: object =
 
 @dataclass(frozen=True)
 class DockEntry:
-    """One dock.
+    """One dock of a database or parameter file.
 
     Args:
         name: Name of the dock.

@@ -43,11 +43,11 @@ class FileCostmap(NamedTuple):
 def file_costmap(
     params: Nav2Params, described: CostmapParams, grid: OccupancyGrid, start: Pose2, dock: Dock
 ) -> FileCostmap:
-    """Return the costmap `described`, with the position and size of the map, without sensor data.
+    """Return the costmap `described`, with the position and size of the map, and without sensor data.
 
     The layers that optdock provides are applied in the order of the file with their parameters. Layers of sensors are
-    skipped because there is no data. Inflation layers are skipped because the clearance is proven with the exact
-    footprint. If the file has no static layer, one is added below the others.
+    skipped because there are no sensor data. Inflation layers are skipped because the clearance is proven with the
+    exact footprint. If the file has no static layer, one is added below the others.
 
     Args:
         params: The parameter file.
@@ -125,7 +125,7 @@ def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) 
 
 
 def _unknown_cells(tracked: object, layers: Mapping[str, Layer]) -> str:
-    """Return the meaning of unknown cells; the map's layer and the costmap may have different parameters."""
+    """Return how unknown cells are treated; the map's layer and the costmap may have different parameters."""
     if any(isinstance(one, StaticLayer) and not one.parameters.track_unknown_space for one in layers.values()):
         return "free: track_unknown_space is false"
     if tracked is False:
@@ -151,7 +151,7 @@ def layered_costmap(
     """Return the costs that layers write into a grid with the position and size of a map.
 
     Args:
-        place: The map; its occupancies are not used.
+        place: The map, of which only position and size are used.
         layers: Layers by name, from bottom to top. The layers are active during the call and unconfigured afterwards.
         robot: Pose of the robot in the frame of the map.
         footprint: Outline of the robot, for the layers.

@@ -1,4 +1,4 @@
-"""The parameters of the docking and smoother servers in a Nav2 file, and their use here."""
+"""The parameters of the docking and smoother servers in a Nav2 file, and their use in optdock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OURS = "of optdock"
 
 
 def nav2_parameter_rows(params: Nav2Params) -> list[tuple[str, str, str]]:
-    """Return rows of node, use, and parameter with the reason; those that are read share a row."""
+    """Return rows of node, use, and parameter with the reason; parameters that are read share a row."""
     rows: list[tuple[str, str, str]] = []
     for node, values in params.nodes.items():
         told = list(_told(node, values))
@@ -34,7 +34,7 @@ def nav2_parameter_rows(params: Nav2Params) -> list[tuple[str, str, str]]:
 
 
 def refused_parameters(values: Mapping[str, object]) -> list[str]:
-    """Return one line for every parameter of a docking server that is refused whatever its value, unless it is false.
+    """Return one line for every parameter of a docking server that is refused with any value except false.
 
     Values of the block `controller` are refused by `controller_settings`.
     """
@@ -49,7 +49,7 @@ def refused_parameters(values: Mapping[str, object]) -> list[str]:
 
 
 def _told(node: str, values: Mapping[str, object]) -> Iterator[tuple[str, str, str]]:
-    """Return name, use and reason of the parameters of a node; nothing for nodes that are not replaced."""
+    """Return name, use and reason of the parameters of a node; empty for nodes that optdock does not replace."""
     name = node.rsplit("/", 1)[-1]
     if name == "docking_server" or "dock_plugins" in values:
         yield from _docking(values)
@@ -78,7 +78,7 @@ def _of_block(
     skipped: Iterable[str] = (),
     effects: Mapping[str, tuple[str, str]] | None = None,
 ) -> Iterator[tuple[str, str, str]]:
-    """Return name, use and reason of the parameters of one block; `effects` are those that depend on the value."""
+    """Return name, use and reason of the parameters of one block; `effects`: the effects that depend on the value."""
     ours = (*OURS.get(block, ()), *OURS[Block.ANY_NODE])
     for name in (str(key) for key in values if key not in set(skipped)):
         row = found(block, name)
@@ -95,7 +95,7 @@ def _of_block(
 
 
 def _effects(server: Mapping[str, object]) -> dict[str, tuple[str, str]]:
-    """Return use and reason of the parameters of the block `controller` that set others."""
+    """Return use and reason of the parameters in the block `controller` that set other settings."""
     return {
         name: ((Use.REFUSED if one.is_refused else Use.MAPPED if one.values else Use.NO_EFFECT).value, one.words)
         for name, one in controller_settings(server).items()

@@ -1,6 +1,6 @@
 """Nav2's parameter files: plugins, costmaps, dock types and docks.
 
-No plugin is imported here; `optdock.nav2.provided_plugins` creates the plugins that optdock provides.
+This module imports no plugin; `optdock.nav2.provided_plugins` creates the plugins that optdock provides.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def _first_of_name(named: Iterable[N]) -> dict[str, N]:
 
 
 def _with_nested_names(document: Document) -> Document:
-    """Return a document with every dotted parameter name split into nested blocks, and with their line numbers.
+    """Return a document with every dotted parameter name split into nested blocks; line numbers are preserved.
 
     If a name is given in both notations, its first value is used.
     """

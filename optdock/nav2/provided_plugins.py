@@ -1,4 +1,4 @@
-"""Plugins of a Nav2 parameter file that optdock provides, and the reasons why it does not provide the others."""
+"""Plugins of a Nav2 parameter file that optdock provides, and the reasons why other plugins are not provided."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ class Nav2Plugin:
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
     """Return all plugins of the file; those that optdock provides are created.
 
-    Unknown parameters are listed, not rejected. Behaviors and layers inherit some parameters of their node, as in Nav2.
+    Unknown parameters are listed but not rejected. Behaviors and layers inherit some parameters of their node, as in
+    Nav2.
     """
     return tuple(provided(instance, params) for instance in params.plugins)
 

@@ -26,9 +26,9 @@ __all__ = ["DockPlanner", "DockPlannerParameters"]
 class DockPlanner(GlobalPlanner):
     """Plan a two-segment NURBS path into a dock.
 
-    The robot's footprint and the costmap come from the context, or from the problem of the context, so the planner must
-    be configured before it plans. If the parameters `footprint_dock` (null) and `direction` (auto) are not set, outline
-    and direction of the dock in the context's problem are used. A dock without an outline has length 0.
+    The planner takes the robot's footprint and the costmap from its context, or from the problem of the context, so it
+    must be configured before a call. If the parameters `footprint_dock` (null) and `direction` (auto) are not set,
+    outline and direction of the dock in the context's problem are used. A dock without an outline has length 0.
 
     Args:
         **parameters: See `DockPlannerParameters`.
@@ -44,7 +44,7 @@ class DockPlanner(GlobalPlanner):
         """Check the context and load SciPy's splines, which takes longer than a hundred plans.
 
         Raises:
-            InvalidValue: If the context holds no robot footprint.
+            InvalidValue: If the context contains no robot footprint.
         """
         import scipy.interpolate  # noqa: F401 - loaded for its side effect on the first plan's duration
 
@@ -62,8 +62,8 @@ class DockPlanner(GlobalPlanner):
         checked by `plan_dock`.
 
         Raises:
-            LifecycleError: If the planner is not configured. This is not a PlannerException, because no other goal or
-                retry can help.
+            LifecycleError: If the planner is not configured. This error is not a PlannerException, because neither
+                another goal nor a retry can resolve it.
             PlannerException: If `check_free_space` is set and there is no costmap.
             StartOutsideMapBounds: If `check_free_space` is set and the start is outside the map.
             StartOccupied: If `check_free_space` is set and the start is not free.
@@ -75,7 +75,7 @@ class DockPlanner(GlobalPlanner):
         return self.plan(start, goal, cancel_checker).path
 
     def plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> TwoSegmentPlan:
-        """Return the path of `create_plan` together with its construction.
+        """Return the path of `create_plan` together with the data of its construction.
 
         Raises:
             LifecycleError: As `create_plan`.
@@ -104,7 +104,7 @@ class DockPlanner(GlobalPlanner):
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
-    """Check that no obstacle lies on the path of the robot's origin, in analogy to the check of the costmap."""
+    """Check that no obstacle lies on the path of the robot's origin, as the curve sampler checks the costmap."""
     points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)

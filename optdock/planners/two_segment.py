@@ -1,7 +1,7 @@
 """Two-segment docking path: from the start to the approach axis, then along the axis into the dock.
 
-Both segments are NURBS curves through three control points. The path is a raw path: its first tangent ignores the yaw
-of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
+Both segments are NURBS curves through three control points. The path is a raw path: its first tangent does not depend
+on the yaw of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
 
 F ------ mid ------ C ------ G      the axis runs from the goal G away from the dock
          D
@@ -179,7 +179,7 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
 
     Raises:
         NoValidPathCouldBeFound: If the robot has no length or no safety distance, if the start is not beyond C, or if
-            it lies on the side that `direction` forbids.
+            the start lies on the side that `direction` excludes.
     """
     safety_distance = 2.0 * (geometry.robot_radius + parameters.calib_safety_distance)
     _check_geometry(geometry, safety_distance)
@@ -258,9 +258,9 @@ def plan_two_segment(
 ) -> TwoSegmentPlan:
     """Compute the raw docking path from `start` to `goal`.
 
-    The resolution of the costmap, or `parameters.resolution` without one, bounds the spacing of poses. With
-    `parameters.check_free_space` the cells under start, goal and curves must be free; points off the map are not free.
-    `cancel_checker` is polled at least every 5 ms.
+    The resolution of the costmap, or `parameters.resolution` without a costmap, bounds the spacing of poses. With
+    `parameters.check_free_space` the cells under start, goal and curves must be free; points outside the map are not
+    free. `cancel_checker` is polled at least every 5 ms.
 
     Raises:
         PlannerException: If `parameters.check_free_space` is set and there is no costmap.
@@ -339,7 +339,7 @@ class CurveSampler:
         Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The original method uses
         the mean of |dC/du| instead, so its spacing is up to twice as large in fast parts of the curve. As in the
         original method, the last pose has the yaw of the previous pose. Samples that are not finite are skipped.
-        `control_points`: Shape (n, 2) [m], n > degree, of unit weight.
+        `control_points`: Shape (n, 2) [m], n > degree, with unit weights.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
@@ -402,7 +402,7 @@ class JointKind(IntEnum):
 
 
 class Joint(NamedTuple):
-    """Joint of segment 1 with the axis.
+    """Joint at which segment 1 meets the axis.
 
     `middle` is the index on the centreline of its middle control point (-1 for none). `control_points`: Shape (3, 2)
     [m].
@@ -416,8 +416,8 @@ class Joint(NamedTuple):
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
     """Find the joint of segment 1; the kinds are tried in the order TOWARD, AWAY, CORNER.
 
-    From a start on the axis the robot drives straight to C without a turn, even if C is too near for the sampled
-    search. `start`: position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m].
+    If the start lies on the axis, the robot drives straight to C, even if C is too near for the sampled search.
+    `start`: position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m].
     `angle_threshold`: smallest interior angle between the rays from the joint to A and along the axis [rad].
     """
     distance = np.hypot(*(centreline - start).T)
@@ -435,7 +435,7 @@ def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float
 
 
 def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 for a ray of no length.
+    """Return angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 for rays of length 0.
 
     >>> interior_angles(np.zeros((1, 2)), np.array([0.0, 2.0]), np.array([-1.0, 0.0])) / np.pi
     array([0.5])
@@ -449,7 +449,7 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 def _first_wide(
     start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """Return the first of `indices` at which the rays to `start` and `end` enclose at least the threshold angle."""
+    """Return the first of `indices` at which the angle between the rays to `start` and `end` reaches the threshold."""
     at = centreline[indices]
     real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
     wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real
@@ -462,7 +462,7 @@ def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
 
 
 def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
-    """Return the joint with equal legs, accurate to one sample: an arc that ends tangent to the axis."""
+    """Return the joint with equal legs, accurate to one sample, which gives an arc that ends tangent to the axis."""
     ahead = centreline[index::-1]
     far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
     end = ahead[int(np.argmax(far))]

@@ -1,7 +1,8 @@
-"""`still_holds` checks in every cycle whether the rest of a running plan keeps its clearance in a changed world.
+"""`still_holds` checks in every cycle whether the rest of a running plan has the required clearance in a changed world.
 
 The proof of the plan need not be repeated. While the clearance rule is the same, only new obstacles near the rest of
-the path are examined: cells that have become blocked, and new polygons. The rule of the plan's certificate applies.
+the path are examined: cells that have become blocked, and new polygons. The clearance rule is the rule of the plan's
+    certificate.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def still_holds(
     *,
     is_late: Callable[[], bool] = never_late,
 ) -> StillHolds:
-    """Check whether the rest of a running path keeps its clearance in a new world.
+    """Check whether the rest of a running path has the required clearance in a new world.
 
     Only clearance is proven. If `changed` contains `dock` or `limits`, the caller must check whether the plan ends at
     the dock and whether its motion satisfies the limits.
@@ -85,7 +86,7 @@ def still_holds(
         world: A costmap, which replaces the plan's costmap including its border; or obstacles, which replace the plan's
             obstacles; or a whole problem, whose start is not used.
         from_time: Progress of the robot on the plan's trajectory [s].
-        is_late: Polled between the rounds of the proof; parts that are still open when it returns True are not proven.
+        is_late: Polled between the rounds of the proof; parts not proven before it returns True remain unproven.
 
     Raises:
         InvalidValue: If an argument has the wrong class, which includes subclasses, or is not finite.
@@ -204,7 +205,7 @@ def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
 
 
 def _time_at(trajectory: Trajectory, s: float) -> float:
-    """Return the time at which a trajectory first reaches an arc length of its path [s]."""
+    """Return the time [s] at which a trajectory first reaches an arc length of its path."""
     law = trajectory.time_law
     phase = int(np.clip(np.searchsorted(law.states[:, 0], s) - 1, 0, law.durations.size - 1))
     low, high = 0.0, float(law.durations[phase])

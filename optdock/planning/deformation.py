@@ -1,14 +1,14 @@
 """Deformation of the rest of a path to a new start and goal, with the least change of its curvature.
 
-Let a path have curvature k(s) in its gears. To first order a change dk ds at s turns the rest of the path about the
-point p(s), and moves the end by
+Consider a path with curvature k(s) in each gear. To first order, a change dk ds at s turns the rest of the path about
+the point p(s), and moves the end by
 
     d(end) = dk ds * (-(y_end - y(s)), x_end - x(s), 1),
 
-where (x, y) is the point p. A longer gear moves the rest along the path, and a turn in place turns the rest about the
-robot. Gauss-Newton steps are repeated until the gap is closed. Each step computes the change of least weighted norm
-that closes the gap in this linear model within the bounds of curvature and curvature rate, and then the exact path. The
-norm weights the curvature rate, which determines the yaw acceleration.
+where (x, y) is the point p. A longer gear moves the rest of the path along its direction, and a larger turn in place
+turns the rest about the robot. Gauss-Newton steps are repeated until the gap is closed. Each step computes the change
+of least weighted norm that closes the gap in this linear model within the bounds of curvature and curvature rate, and
+then the exact path. The norm weights the curvature rate, which determines the yaw acceleration.
 
 A path that comes too close to an obstacle is pushed away in the same way, by constraints on points of the robot.
 """
@@ -115,7 +115,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,) and lack of clearance [m]."""
+    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,), and missing clearance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -133,7 +133,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     speed: float = 0.0,
     pushes: Sequence[Push] = (),
 ) -> Path | None:
-    """Return a path near `path` from `start` to `goal` in the same gears, or None if the bounds allow no path.
+    """Return a path near `path` from `start` to `goal` in the same gears, or None if no such path is within the bounds.
 
     Clearance is not checked.
 
@@ -189,7 +189,7 @@ def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
 
 
 def _refined(knots: FloatArray, length: float) -> FloatArray:
-    """Return the knots before `length`, `length` itself, and additional knots between distant ones."""
+    """Return the knots before `length`, `length` itself, and additional knots between distant knots."""
     kept = knots[(knots > 0.0) & (knots < length)]
     apart = 0.1 * _SHORTEST_PIECE  # closer knots add a rate constraint without a degree of freedom
     kept = kept[(kept > apart) & (kept < length - apart)]
@@ -242,7 +242,7 @@ def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> Flo
 
 
 class _Program:
-    """The quadratic program of a step: the least change that closes the gap within the bounds."""
+    """Quadratic program of a step, whose solution is the least change that closes the gap within the bounds."""
 
     def __init__(self, gears: list[_GearPiece], limits: MotionLimits, speed: float, *, steers: bool) -> None:
         sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)
@@ -270,7 +270,7 @@ class _Program:
             self.price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
 
     def keeps_bounds(self, gears: list[_GearPiece]) -> bool:
-        """Whether curvature and rates are within their bounds."""
+        """Whether the curvature and its rates are within their bounds."""
         curvature, rates, _ = self._bounded(gears)
         slack = 1.0 / _USED
         return bool(np.all(np.abs(curvature) <= slack * self.most) and np.all(np.abs(rates) <= slack * self.most_rates))
@@ -299,7 +299,7 @@ class _Program:
         gap: FloatArray,
         pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
-        """Return the cheapest change of each gear that closes the gap subject to pushes and bounds, or None."""
+        """Return the changes of least cost that close the gap subject to pushes and bounds, one per gear, or None."""
         end = segments[-1].poses_at(segments[-1].length)[0]
         curvature, rates, rate_rows = self._bounded(gears)
         if self.program is None:
@@ -326,7 +326,7 @@ class _Program:
         return np.split(change, self.starts[1:-1])
 
     def _price(self, gear: _GearPiece) -> FloatArray:
-        """Return the matrix of the quadratic cost of a change of a gear's variables."""
+        """Return the matrix of the quadratic cost for changing the variables of a gear."""
         if gear.sign == 0:
             return np.array([[1.0]])
         steps, n = np.diff(gear.knots), gear.curvature.size

@@ -51,7 +51,7 @@ def stage_of(error: OptdockError) -> int | None:
 
 
 class Failure(NamedTuple):
-    """Error of a guess or a planner, with the partial plan at that time."""
+    """Error of a guess or a planner, with the partial plan that existed when the error occurred."""
 
     error: OptdockError
     left: PartialPlan
@@ -63,9 +63,9 @@ class Failure(NamedTuple):
 
 
 def furthest(failures: Sequence[Failure]) -> Failure:
-    """Return the most informative failure: the first one of the latest stage, other errors before time-outs.
+    """Return the most informative failure: the first failure at the latest stage, preferably not a time-out.
 
-    If no planner returned a guess, the failure of the last planner is returned, because it comes from a search.
+    If no planner returned a guess, the failure of the last planner is returned, because that planner performs a search.
     """
     if not any(failure.stage for failure in failures):
         return failures[-1]
@@ -107,7 +107,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
 
 
 def _reason_of_every_guess(failures: Sequence[Failure], problem: DockingProblem) -> Failure | None:
-    """Return a failure whose reason applies to every guess regardless of the time, or None."""
+    """Return a failure whose reason applies to every guess and does not depend on the time limit, or None."""
     gears = {Direction.FORWARD, Direction.REVERSE}
     if problem.dock.direction is not DockDirection.AUTO:
         gears = {Direction.FORWARD if problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
@@ -130,7 +130,7 @@ def check_ends(problem: DockingProblem) -> None:
         GoalOutsideMapBounds: If the goal is outside the problem's costmap.
         StartOccupied: If the footprint at the start overlaps an obstacle.
         GoalOccupied: If the footprint at the goal is closer to an obstacle than the rule allows.
-        NoValidPathCouldBeFound: If the dock must be in view up to the goal and is not in view at the goal.
+        NoValidPathCouldBeFound: If the dock must be in view until the goal is reached, but is not in view at the goal.
     """
     _check_view_at_goal(problem)
     found = end_clearances(problem)

@@ -130,10 +130,10 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     """Plan, smooth, prove and time a docking motion.
 
     There are three possible outcomes: a certified plan is returned; `NoMotionExists` is raised, with a proof; or
-    another error is raised, either a time-out or the reason why the most advanced guess failed.
+    another error is raised, which is either a time-out or states why the most advanced guess failed.
 
-    Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. A
-    plugin object must not be configured, and it can be used by only one call at a time.
+    Planner, smoother and time parameterizer are names of installed plugins, or plugin objects such as
+    `CasadiSmoother(spans=32)`. A plugin object must not be configured, and it can be used by only one call at a time.
 
     Args:
         problem: Start, dock, robot and obstacles.
@@ -223,7 +223,7 @@ def warm_up(
     *,
     robot: Robot | None = None,
 ) -> None:
-    """Load libraries and build the one-time data of plugins, so that later calls need not wait for them.
+    """Load libraries and build the one-time data of plugins, which makes later calls faster.
 
     The first call in a process plans a small problem, which takes about a second; later calls return immediately.
     Errors of plugins during this plan are suppressed here; they are raised in the first real call.
@@ -284,7 +284,7 @@ _MARGIN_SHARE, _MARGIN_MOST = 0.3, 0.006  # of the budget; [s]: longer suspensio
 
 
 def _margin(budget: float) -> float:
-    """Return the time before the end of the budget at which a call stops: the second longest suspension [s]."""
+    """Return the time [s] by which a call stops before the end of the budget: the second longest suspension so far."""
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 
@@ -354,12 +354,12 @@ class _Portfolio:
         return replace(self.best, completed=self._is_complete(self.best), timing_ms=timing, tried=tuple(self.tried))
 
     def _is_complete(self, plan: DockPlan) -> bool:
-        """Whether more time would not change the result."""
+        """Whether the result is final, so that more time would not change it."""
         is_cut_short = self.is_cut_off or any(isinstance(failure.error, TimedOut) for failure in self.failures)
         return plan.completed and not self.deadline.passed() and not (plan is self.last_resort and is_cut_short)
 
     def _leave_out_gears(self) -> None:
-        """Try the best plan without one of its short gear segments, and repeat as long as the price may fall."""
+        """Try the best plan without one of its short gear segments, and repeat while this may reduce the price."""
         tried: set[str] = set()
         while self.best is not None and len(tried) < _MOST_LEFT_OUT and not self.work.is_late():
             simpler = (path for path in fewer_cusps(self.best.path, self.problem) if path.digest not in tried)
@@ -370,7 +370,7 @@ class _Portfolio:
             self._try(Guess(path, "fewer cusps"), is_last=True)
 
     def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
-        """Yield every guess, and whether it is known to be the last one; then search for a proof."""
+        """Yield every guess, and whether it is known to be the last guess; then search for a proof."""
         for path in self.given:
             yield Guess(path, "given"), False
         last = self.planners[-1]
@@ -481,7 +481,7 @@ class _Portfolio:
             self.best = plan
 
     def _stop_at_bends(self, guess: Guess) -> None:
-        """Keep a plan along a failed guess with a stop at every bend, in case no better plan is found."""
+        """Store a plan along a failed guess with a stop at every bend, as a fallback if no better plan is found."""
         if guess.stage == "given" or self.best is not None or self.deadline.left <= 2.0 * self.work.reserve:
             return  # without time for the certificate before the timing
         known = self.last_resort.price if self.last_resort is not None else math.inf

@@ -73,7 +73,7 @@ class DockPlan:
     Args:
         motion: The proven path and time law, with the problem and the start pose; made by `prove_motion`.
         raw_path: The guess from which the plan was made, for comparison; it is not certified.
-        completed: False if the deadline ended the smoothing early; the result is always certified.
+        completed: False if the deadline ended the smoothing early; the path is certified in either case.
         timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; also `first`,
             the time until the first certified plan, and `total`, the time of the call.
         smoothing_report: Report of the smoother.
@@ -203,7 +203,7 @@ class DockPlan:
 
         Args:
             source: File with the exact time law that `save` writes.
-            problem: Problem that the plan must solve.
+            problem: Problem for which the plan is certified again.
 
         Raises:
             InvalidFile: If the file cannot be read, violates the format, or contains no path, raw path or time law.
@@ -229,7 +229,7 @@ class DockPlan:
 
         Args:
             target: File name; the suffix selects the format.
-            title: Title; if empty, the plan described in one line.
+            title: Title; if empty, a description of the plan in one line.
 
         Raises:
             MissingExtra: If Matplotlib is not installed.
@@ -241,7 +241,9 @@ class DockPlan:
         save_plan_picture(target, **self._drawing(title))
 
     def show(self) -> None:
-        """Open a window with the picture of `plot`; notebooks display this picture for a cell that ends with the plan.
+        """Open a window with the picture of `plot`.
+
+        Notebooks display this picture if the last expression of a cell is the plan.
 
         Raises:
             MissingExtra: If Matplotlib is not installed.
@@ -270,7 +272,7 @@ class DockPlan:
 
 @dataclass(eq=False, repr=False)
 class PartialPlan:
-    """Results of a call until it failed, available as attribute `partial` of the error.
+    """Results that a call had produced when it failed, available as attribute `partial` of the error.
 
     Args:
         raw_path: The planner's path, or None.

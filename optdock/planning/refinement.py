@@ -100,7 +100,7 @@ _T = TypeVar("_T")
 
 
 class Cancellation:
-    """The caller's cancel checker: its exceptions pass through every stage, and a result of True is kept."""
+    """The caller's cancel checker: its exceptions pass through every stage, and a result of True is remembered."""
 
     def __init__(self, checker: Callable[[], bool]) -> None:
         self._checker, self._cancelled = checker, False
@@ -117,11 +117,11 @@ class Cancellation:
 
 
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
-    """Return the length of the straight line on which a robot in contact at the start leaves the obstacle [m].
+    """Return the length [m] of the straight line on which a robot that starts in contact leaves the obstacle.
 
-    A robot alongside a wall in contact can only drive straight. Smoothers do not find exactly this line, so the line of
-    the guess is kept. The length is 0 if the robot touches no obstacle, moves or has its wheels turned, or if the path
-    begins elsewhere or does not lead straight out of the contact.
+    A robot alongside a wall in contact can only drive straight. Smoothers do not reproduce this line exactly, so the
+    line of the guess is kept. The length is 0 if the robot touches no obstacle, is in motion or has its wheels turned,
+    or if the path begins at another pose or does not lead straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -156,9 +156,9 @@ def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
 def stopping_at_bends(path: Path) -> Path | None:
     """Return a path as clothoid segments of constant curvature, with a stop at every jump of the curvature.
 
-    A standing robot may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing.
-    This can be the only path if the room is too short for a transition between two curvatures. The result is None if
-    the path is not a sequence of arcs, lines and turns in place, or has too many bends.
+    A robot at rest may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing. This
+    can be the only path if the room is too short for a transition between two curvatures. The result is None if the
+    path is not a sequence of arcs, lines and turns in place, or has too many bends.
     """
     found: list[Segment] = []
     room = _MOST_BENDS
@@ -193,7 +193,7 @@ class Refinement:
         budget: Time budget of the call, for messages and shares [s].
         deadline: Deadline of the call.
         timing_ms: Wall-clock milliseconds per stage, over all guesses; updated.
-        longest_wait: Longest time for which the machine suspended a stage [s].
+        longest_wait: Longest time for which the operating system suspended a stage [s].
     """
 
     problem: DockingProblem
@@ -211,7 +211,7 @@ class Refinement:
 
     @contextlib.contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Add the time of the block to `stage`."""
+        """Add the duration of the block to the time of `stage`."""
         began, worked = self.deadline.elapsed, time.thread_time()
         try:
             yield
@@ -241,7 +241,8 @@ class Refinement:
             begun: Path of the smoother in an interrupted attempt.
 
         Raises:
-            OptdockError: As `plan_dock`. If the smoother was interrupted, `partial` holds its path so far, if known.
+            OptdockError: As `plan_dock`. If the smoother was interrupted, `partial` contains the path that it had
+                found, if any.
         """
         so_far.raw_path = raw
         with self.timed("smooth"):
@@ -373,7 +374,7 @@ class Refinement:
         cancelled: type[Cancelled],
         late: type[OptdockError],
     ) -> None:
-        """Raise the violation of a certificate, or the time-out or cancellation that left it unproven."""
+        """Raise the violation of a certificate, or the time-out or cancellation that interrupted the proof."""
         if verdict.certified:
             return
         where = where_broken(verdict)
@@ -417,7 +418,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
 
 
 def ran_out_of_time(what: str, budget: float) -> str:
-    """Return the message of a time-out, with the stage that ran out of time and the option for more time.
+    """Return the message of a time-out, which names the stage that ran out of time and the option that allows more.
 
     >>> ran_out_of_time("ManoeuvrePlanner", 0.05)
     'ManoeuvrePlanner ran out of time; raise time_budget, which is 0.05 s'
@@ -450,12 +451,12 @@ def plain(path: Path, plugin: Plugin, frame: str) -> Path:
 
 
 def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    """Yield guesses with one stop fewer: first two segments of one gear are joined, then a gear is left out.
+    """Yield guesses with one fewer stop: first with two segments of one gear joined, then with one gear left out.
 
     Searches over arcs often return short gears that can be left out. Every stop takes time, while the smoother can
     remove a jump of the curvature. Shorter gears are left out first. A gear between two gears in the other direction is
     left out together with the stretch that would then be driven twice, and the smoother closes the gap. The first gear
-    can be left out if the next one may begin at the start. Turns in place are never left out.
+    can be left out if the second gear may begin at the start. Turns in place are never left out.
     """
     segments = path.segments
     for k, (one, following) in enumerate(itertools.pairwise(segments)):

@@ -9,8 +9,8 @@ continuity. The following methods are tried in order until a plan is certified:
 3. `plan_dock` from the joint.
 
 If nothing is certified in time, the old plan continues if its remaining path is certified in the new world and ends at
-the new dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint can no
-longer be changed, so it is proven first. If this proof fails, the robot brakes at once.
+the new dock within the dock's tolerances; otherwise the robot brakes along its path. The motion up to the joint can no
+longer be changed, so it is certified first. If this proof fails, the robot brakes immediately.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ _NEARBY = 0.5  # [m]: distance from its reference along the path in which a robo
 
 
 class ReplanOutcome(str, Enum):
-    """Decision for a moving robot."""
+    """Decision of `replan` for a moving robot."""
 
     NEW = "new"  # drive the new plan after the joint
     KEPT = "kept"  # continue with the old plan
@@ -107,10 +107,10 @@ class Replanned:
 
     Args:
         outcome: The decision.
-        trajectory: Trajectory to be driven from its time 0 when the clock of the running trajectory shows `starts_at`.
-        starts_at: Time on the clock of the running trajectory at which `trajectory` takes over [s]; 0 for KEPT.
+        trajectory: Trajectory that starts, at its time 0, when the clock of the running trajectory reaches `starts_at`.
+        starts_at: Time [s] on the clock of the running trajectory at which `trajectory` takes over; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
-        reason: Reason why there is no new plan; empty for NEW.
+        reason: Reason for the absence of a new plan; empty for NEW.
         way: Proof of clearance in the new world, from the current pose of the robot to the takeover (NEW) or to the end
             of the motion (KEPT, STOP); None if clearance could not be proven. For KEPT the station is assumed to be at
             the end of the plan, which is within the dock's tolerances.
@@ -150,8 +150,8 @@ class Replanned:
     def proven(self) -> bool:
         """Whether clearance and limits are proven from the current pose until the motion ends.
 
-        It is False only for a stop, which is then the fastest possible stop. Any caller can construct a certificate, so
-        a stop is certified again here.
+        The result is False only for a stop, which is then the fastest possible stop. Any caller can construct a
+        certificate, so a stop is certified again here.
         """
         if self.way is None or self.plan is not None:
             return self.way is not None
@@ -179,7 +179,7 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
     timing: TimingLike = DEFAULT_TIMING,
     cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> Replanned:
-    """Decide what a robot that drives `plan` does after its dock, or the world, has changed.
+    """Decide how a robot that executes `plan` continues after its dock or the world has changed.
 
     Args:
         plan: The running plan.
@@ -244,7 +244,7 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
 
 
 class _Plugins(NamedTuple):
-    """Plugins as specified by the caller."""
+    """Plugins of a call, as specified by the caller."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
     smoother: SmootherLike
@@ -253,7 +253,7 @@ class _Plugins(NamedTuple):
 
 @dataclass(eq=False)
 class _Replanning:
-    """One call of `replan`."""
+    """State and steps of one call of `replan`."""
 
     drive: RunningDrive
     budget: float
@@ -322,7 +322,7 @@ class _Replanning:
     def _in_the_same_gears(
         self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
-        """Deform the rest of the running path, or smooth it; None if neither is certified."""
+        """Deform the rest of the running path, or smooth it; None if neither result is certified."""
         guess, pushes, longest = rest, list[Push](), 0.0
         for _ in range(_PUSHES + 1):
             if work.deadline.left < longest:  # another smoothing would not end in time
@@ -391,7 +391,7 @@ class _Replanning:
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
-        """Prove the clearance of the rest of the path for a robot off the path, by the plan's clearance rule."""
+        """Prove the clearance of the rest of the path, by the plan's clearance rule, for a robot off the path."""
         pose, relief = self.drive.state.pose, self.drive.plan.certificate.start_relief
         assert pose is not None
         now = min(self.drive.now.s, max(0.0, path.length - NO_WAY))
@@ -425,7 +425,7 @@ class _Replanning:
         return holds and certify_motion(self.drive.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
-        """Brake along the running path: from the joint if that is proven, otherwise immediately."""
+        """Brake along the running path, from the joint if the way to the joint is proven, otherwise immediately."""
         found: list[Replanned] = []
         for lead in (self.lead, delay):
             joint = self.drive.branch_point(lead)

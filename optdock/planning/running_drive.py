@@ -33,16 +33,16 @@ NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 
 
 class DriveState(NamedTuple):
-    """Progress of a robot on its trajectory.
+    """Progress of a robot along its trajectory.
 
     Attributes:
         time: Time of the reference on the clock of the trajectory [s].
         rate: Rate of that clock, 1 at the planned speed [1].
-        pose: Measured pose at that time; None means a robot on the trajectory. If the pose is within the tube around
-            the running path, the controller corrects the error and a new plan begins on that path. Otherwise a new plan
-            begins at the pose of the robot.
-        moved: Transform of the whole trajectory since the planning: every pose p became `moved @ p`, because the dock
-            was detected at a different pose. None means identity.
+        pose: Measured pose at that time; None means that the robot is on the trajectory. If the pose is within the tube
+            around the running path, the controller corrects the error and a new plan begins on that path. Otherwise a
+            new plan begins at the pose of the robot.
+        moved: Transform of the whole trajectory after planning: every pose p becomes `moved @ p`, because the dock was
+            detected at a different pose. None means identity.
         is_filtered: Whether `pose` is accurate enough for a new plan to begin there, even within the tube.
     """
 
@@ -76,7 +76,7 @@ class BranchPoint(NamedTuple):
 
 
 class RunningDrive:
-    """The rest of a running plan in the current problem `world`, for a robot on the plan or off it.
+    """The rest of a running plan in the current problem `world`, for a robot on or off the planned path.
 
     Attributes:
         ahead: The path ahead, which is the running path, or the running path moved as a whole to the robot.
@@ -125,7 +125,8 @@ class RunningDrive:
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
         """Return the state after `lead` seconds.
 
-        With `at_a_rest` the result is the state at the next rest, if that rest is near or the robot turns in place.
+        If `at_a_rest` is True, the result is the state at the next rest, if that rest is near or the robot turns in
+        place.
         """
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
@@ -159,7 +160,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """Return the time `rest`, or the end of the rest that begins then if steered wheels turn meanwhile."""
+        """Return the time `rest`, or the end of the rest that begins at that time if the wheels are steered in it."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest
@@ -196,7 +197,7 @@ _STILL = 0.1  # [s]: duration of the motion of a standing robot
 
 
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
-    """Return the fastest certified braking from a point of a trajectory; if no braking is certified, the fastest.
+    """Return the fastest certified braking from a point of a trajectory, or the fastest braking if none is certified.
 
     The result is the trajectory and the certificate of its motion, which may list violations.
     """

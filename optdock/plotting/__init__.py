@@ -1,4 +1,4 @@
-"""Pictures of plans, motions and runs; needs the extra `plot`.
+"""Pictures of plans, motions and runs, which require the extra `plot`.
 
 Every function draws completed results into one file.
 """

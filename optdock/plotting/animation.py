@@ -37,7 +37,7 @@ def save_animation(
     poses: FloatArray,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write an animation of the drive and the swept area with ten frames per second; long drives are shown faster.
+    """Write an animation of the drive and the swept area with ten frames per second; long drives are played faster.
 
     Args:
         target: GIF file to write.
@@ -86,7 +86,7 @@ def save_gif(target: str | Path, frames: list[Image], duration: float) -> None:
 
 
 class _Stage:
-    """Scene that is drawn once, and robot that is drawn for every frame."""
+    """Scene, which is drawn once, and robot, which is drawn in every frame."""
 
     def __init__(self, problem: DockingProblem, poses: FloatArray) -> None:
         view = view_of(problem, [poses])

@@ -1,4 +1,4 @@
-"""Picture of the quantities of a motion over time with their limits."""
+"""Picture of the quantities of a motion over time, with their limits."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ _CLOSE_BY = 1.0  # [m]: parts of obstacles within this distance are included
 
 
 class View(NamedTuple):
-    """Visible rectangle [m]."""
+    """Visible rectangle of a picture [m]."""
 
     left: float
     right: float
@@ -67,7 +67,7 @@ class View(NamedTuple):
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
-    """Return a view that contains the robot along every path, Shape (n, 3) each, the dock, and obstacles close by.
+    """Return a view that contains the robot along every path, Shape (n, 3) each, the dock, and nearby obstacles.
 
     Only the near part of a long obstacle is included; cells of the map do not widen the view.
     """
@@ -135,7 +135,7 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
 
 
 def _greys() -> ListedColormap:
-    """Grey values as colours; free cells are transparent, so that the grid below is visible."""
+    """Return grey values as colours; free cells are transparent, so the grid below remains visible."""
     from matplotlib.colors import ListedColormap
 
     return ListedColormap(

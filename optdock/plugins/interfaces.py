@@ -76,7 +76,7 @@ class GlobalPlanner(Plugin):
 
     @abstractmethod
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """Return a path from `start` to `goal`, never empty, in the costmap's frame.
+        """Return a non-empty path from `start` to `goal` in the costmap's frame.
 
         `cancel_checker` is polled at least every 5 ms.
 
@@ -101,8 +101,8 @@ class GlobalPlanner(Plugin):
             start: As in `create_plan`.
             goal: As in `create_plan`.
             cancel_checker: As in `create_plan`.
-            better_than: Function that returns the price of the best plan [s], duration and cost of cusps; inf without a
-                plan.
+            better_than: Function that returns the price [s] of the best plan, which is its duration plus its additional
+                costs; inf without a plan.
 
         Raises:
             PlannerException: If no path is found.
@@ -127,7 +127,7 @@ class Smoother(Plugin):
         """Return a smoother path between the same two poses, in the same frame.
 
         If `problem` is given, a smoother that certifies its results returns a path from the problem's start to its
-        goal, and raises InvalidPath if the ends of `path` are elsewhere.
+        goal, and raises InvalidPath if the ends of `path` are too far from them.
 
         Args:
             path: Raw path, from any source.
@@ -142,7 +142,7 @@ class Smoother(Plugin):
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` has a wrong type.
             InvalidPath: If `path` is not a Path, is too short, is not in the frame of the problem, or has other ends.
             SmootherTimedOut: If the time ran out before there was a usable result.
-            FailedToSmoothPath: If no result keeps every bound; the message names the violated bound.
+            FailedToSmoothPath: If no result satisfies every bound; the message names the violated bound.
             SmootherCancelled: If `cancel_checker` returned True.
         """
 
@@ -162,7 +162,7 @@ class Smoother(Plugin):
             instance(Path, warm_start, "warm_start")
 
     def warm_up(self) -> None:
-        """Load libraries and compute data in advance, so that the first call is not slower than others."""
+        """Load libraries and compute data in advance, so that the first call is as fast as later calls."""
 
 
 class TimeParameterizer(Plugin):
@@ -192,7 +192,8 @@ class TimeParameterizer(Plugin):
             zone: Speed zone at the end of the path.
             start_speed: Speed in the direction of travel at the start, >= 0 in both gears [m/s].
             start_acceleration: Acceleration in the direction of travel at the start [m/s^2].
-            start_wait: Time at rest at the start, for steering [s]; with a start in motion the status is FAIL.
+            start_wait: Time at rest at the start, for steering [s]; if the robot moves at the start, the status is
+                FAIL.
             max_time: Wall-clock time for the whole call [s]; with 0 or less the status is TIMED_OUT.
             cancel_checker: Polled at least every 5 ms.
 
@@ -207,12 +208,12 @@ class Controller(Plugin):
 
     @abstractmethod
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
-        """Set the path or trajectory to follow.
+        """Set the path or trajectory to be followed.
 
         Args:
             path: Path or trajectory.
-            start_stamp: Time at which a trajectory begins, on the clock of the stamps [s], for a change of plan in
-                motion. None: the trajectory begins with the next command.
+            start_stamp: Time at which a trajectory begins, on the clock of the stamps [s], for a change of plan while
+                the robot moves. None: the trajectory begins with the next command.
 
         Raises:
             ControllerInvalidPath: If the path or trajectory cannot be followed.
@@ -240,7 +241,7 @@ class Controller(Plugin):
         """Limit the speed; 0 removes the limit.
 
         Args:
-            limit: Percent of the maximum (values above 100 are reduced to 100), or m/s.
+            limit: Limit in percent of the maximum (values above 100 are reduced to 100) or in m/s.
             percentage: Whether `limit` is in percent.
 
         Raises:
@@ -352,13 +353,13 @@ class DockType(Plugin):
     def contact(self, now: AtDock) -> Contact | None:
         """Return the present contact, or None.
 
-        Called once in every control cycle with a known pose, in order of the stamps. Contact while `now.is_near` is
-        False is reported as a fault.
+        Called once in every control cycle with a known pose, in order of the stamps. Contact that is reported while
+        `now.is_near` is False counts as a fault.
         """
 
     @property
     def is_pressed_on(self) -> bool:
-        """Whether the robot drives on until contact; if False, acceptance by the goal checker also ends the drive."""
+        """Whether the robot drives on until contact; if False, the drive also ends when the goal checker accepts."""
         return False
 
     @property
@@ -373,12 +374,13 @@ class DockType(Plugin):
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
         """Return poses at which an approach may begin, relative to the docked pose, the preferred pose first.
 
-        If a pose cannot be reached, the next is tried. The default is one pose at `distance` on the axis of the dock.
+        If a pose cannot be reached, the next pose is tried. The default is one pose at `distance` on the axis of the
+        dock.
 
         Args:
             gear: Gear of the last motion into the dock: 1 forward, -1 in reverse.
-            distance: Distance from the docked pose, from the settings, or sufficient for correcting an inaccurate dock
-                pose [m].
+            distance: Distance from the docked pose [m], either from the settings or long enough to correct an
+                inaccurate dock pose.
         """
         return (Pose2(-gear * distance, 0.0, 0.0),)
 
@@ -391,7 +393,7 @@ class DockType(Plugin):
 
     @property
     def back_out_distance(self) -> float:
-        """Largest straight distance out of contact before a path is planned [m]; for undocking, the final straight."""
+        """Largest straight distance [m] out of contact before a path is planned; for undocking, the final straight."""
         return 0.1  # twice the 5 cm within which contact is accepted
 
     def reset(self) -> None:

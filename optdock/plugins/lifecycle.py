@@ -1,7 +1,7 @@
 """Base class of plugins, with parameters, context and Nav2's lifecycle.
 
-A plugin can be used once it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive -> active
--> finalized.
+A plugin can be used as soon as it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive ->
+active -> finalized.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class LifecycleState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class PluginContext:
-    """Data that a plugin works on: costmaps, footprint and problem. Missing parts are derived from the others.
+    """Data for a plugin: costmaps, footprint and problem. Missing parts are derived from the others.
 
     `footprint` and `costmap` default to those of the problem, and the obstacles of the problem include the cells of
     `costmap`.
@@ -57,8 +57,8 @@ class PluginContext:
         problem: Docking problem, or None.
         clock: Function that returns a monotonic time [s].
         logger: Logger of the plugin.
-        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. If there is
-            neither a problem nor a global costmap, this costmap also replaces the global costmap.
+        local_costmap: Costmap around the robot, which is read in every call and is not part of the problem; or None. If
+            there is neither a problem nor a global costmap, this costmap also replaces the global costmap.
 
     Raises:
         InvalidValue: If `footprint` is not the outline of the problem's robot, or a part has a wrong type.
@@ -109,7 +109,7 @@ class PluginContext:
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 
     def costmaps(self, needs: CostmapInfoType) -> tuple[Costmap, ...]:
-        """Return the costmaps that `needs` names; the global costmap replaces a missing local costmap."""
+        """Return the costmaps named by `needs`; the global costmap replaces a missing local costmap."""
         local = self.costmap if self.local_costmap is None else self.local_costmap
         asked = {
             CostmapInfoType.NONE: (),
@@ -122,12 +122,13 @@ class PluginContext:
     def obstacles_near(
         self, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.BOTH
     ) -> ObstacleSet:
-        """Return the obstacles in a box: obstacles of the problem, and cells of the costmaps that `needs` names.
+        """Return the obstacles in a box: obstacles of the problem, and cells of the costmaps named by `needs`.
 
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Costmaps to include in addition to the problem, which contains the cells of the global costmap.
+            needs: Costmaps whose cells are added to the obstacles of the problem; these already include the cells of
+                the global costmap.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
@@ -185,13 +186,13 @@ class Plugin(ABC):
         self._state = LifecycleState.INACTIVE
 
     def activate(self) -> None:
-        """Inactive -> active."""
+        """Activate the plugin: inactive -> active."""
         self._require("activate", LifecycleState.INACTIVE)
         self.on_activate()
         self._state = LifecycleState.ACTIVE
 
     def deactivate(self) -> None:
-        """Active -> inactive."""
+        """Deactivate the plugin: active -> inactive."""
         self._require("deactivate", LifecycleState.ACTIVE)
         self.on_deactivate()
         self._state = LifecycleState.INACTIVE
@@ -214,7 +215,7 @@ class Plugin(ABC):
         self._state = LifecycleState.FINALIZED
 
     def set_parameters(self, /, **changes: object) -> None:
-        """Change several parameters at once.
+        """Change several parameters in one step.
 
         Raises:
             InvalidValue: If a name is unknown or the changed set is invalid; in this case no parameter is changed.

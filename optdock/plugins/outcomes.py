@@ -33,7 +33,7 @@ __all__ = [
 
 
 class Guess(NamedTuple):
-    """Raw path of a planner, exactly from the start to the goal, and the stage that found it, for reports."""
+    """Raw path of a planner, exactly from the start to the goal, and the name of the stage that found the path."""
 
     path: Path
     stage: str = ""
@@ -110,7 +110,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """Status of a time parameterization; only OK is true. An infeasible motion gives a status, not an exception."""
+    """Status of a time parameterization; only OK is true. An infeasible motion has a status and raises no exception."""
 
     OK = 0
     START_INFEASIBLE = 1

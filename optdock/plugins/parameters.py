@@ -113,7 +113,7 @@ _PLAIN = (bool, int, float, str, type(None))  # immutable types with distinct re
 
 
 def _is_constant(checked: PluginParameters) -> bool:
-    """Whether parameters can be shared: they are immutable and depend only on the given values."""
+    """Whether a parameter object can be shared, because it is immutable and depends only on the given values."""
     model = type(checked)
     is_sealed = bool(model.model_config.get("frozen")) and not model.__private_attributes__
     makes_anew = any(spec.default_factory is not None for spec in model.model_fields.values())

@@ -217,7 +217,7 @@ def timed_by(  # noqa: PLR0913 - method, path, limits and start state
         start_wait: Time at rest at the start, for steering [s].
 
     Raises:
-        FailedToTimePath: If the method finds no motion from this start that keeps the limits.
+        FailedToTimePath: If the method finds no motion from this start that satisfies the limits.
         PluginError: See `create_plugin`.
         LifecycleError: If the plugin is already configured.
         InvalidValue: If a parameter or the start state is wrong.

@@ -91,7 +91,8 @@ def _duration(path: Path, scenario: Scenario) -> float | None:
 def worst_joint_angle(path: Path) -> float:
     """Return the largest jump of the direction of motion along the path [rad]; reversals at cusps are ignored.
 
-    A polyline jumps between two steps, and between the heading of its first or last pose and the step next to it.
+    In a polyline, the direction jumps between two steps, and between the heading of the first or last pose and the
+    adjacent step.
     """
     ends = [(a.poses_at(a.length)[0, 2], b.poses_at(0.0)[0, 2]) for a, b in itertools.pairwise(path.segments)]
     return max(*map(_jump_inside, path.segments), *(abs(normalize_angle(b - a)) for a, b in ends), 0.0)

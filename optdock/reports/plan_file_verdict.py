@@ -51,7 +51,7 @@ class PlanFileVerdict(NamedTuple):
             `unproven`: the path is proven, and the samples of the motion do not refute it. `impossible`: the proof that
             no motion exists is valid. `refuted`: otherwise.
         rows: Results, each a name and a sentence.
-        faults: Every broken rule.
+        faults: Every violated rule.
         false_claims: False values of the file.
     """
 
@@ -65,7 +65,7 @@ class PlanFileVerdict(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """First broken rule or false value, or the reason why the motion is not proven; empty if certified."""
+        """First violated rule or false value, or the reason why the motion is not proven; empty if certified."""
         unproven = ("samples cannot prove a motion",) if self.outcome == "unproven" else ()
         return next(iter((*self.faults, *self.false_claims, *unproven)), "")
 
@@ -75,7 +75,7 @@ def judge_plan_file(plan: PlanFile, problem: DockingProblem) -> PlanFileVerdict:
 
     Args:
         plan: The file, see `load_plan`.
-        problem: The problem that the plan must solve.
+        problem: The problem for which the plan is checked.
 
     Raises:
         InvalidFile: If parts of the file contradict each other.
@@ -177,7 +177,7 @@ def _described(violation: Violation) -> str:
 
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return one row with the parts that cannot be checked, or no row if there are none."""
+    """Return one row with the parts that cannot be checked, or no row if all parts can be checked."""
     foreign = (
         [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
     )
@@ -189,7 +189,7 @@ def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]
 class _MotionVerdict(NamedTuple):
     """Result for a motion: verdict, row, faults, and the proof or None.
 
-    `is_sampled`: whether the motion is known only by samples, which do not refute it.
+    `is_sampled`: whether the motion is known only from samples, which do not refute it.
     """
 
     verdict: str
@@ -224,7 +224,7 @@ def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: Docking
 
 
 def _offset(verdict: SampledMotionVerdict) -> str:
-    """Return a description of samples that are off the path, or an empty string."""
+    """Return a description of samples that deviate from the path, or an empty string."""
     if not verdict.off_path:
         return ""
     apart, turned = verdict.offset
@@ -232,7 +232,7 @@ def _offset(verdict: SampledMotionVerdict) -> str:
 
 
 def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> _MotionVerdict:
-    """Check a motion that is known only by samples."""
+    """Check a motion that is known only from samples."""
     verdict = check_sampled_motion(motion, path, problem)
     if verdict.refuted:
         faults = [violation.message for violation in verdict.violations]
@@ -248,7 +248,7 @@ class _Claims:
     """Comparison of the other values of a file with the proven values.
 
     A certificate is valid for the problem and the path of its digests. Values for a different problem cannot be
-    compared; values for curves that were rounded later are compared with a larger tolerance.
+    compared; if the curves were rounded later, values are compared with a larger tolerance.
     """
 
     def __init__(

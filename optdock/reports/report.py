@@ -55,7 +55,7 @@ class Row(NamedTuple):
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
     """Return the plan file of a failure, with the name of the error, its reason, and the results so far.
 
-    A path without certificate is not written, because paths in plan files are meant to be driven.
+    A path without a certificate is not written, because paths in plan files are intended to be driven.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
     judged = so_far.certificate is not None and proof is None  # no path next to a proof that no path exists

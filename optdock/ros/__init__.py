@@ -1,9 +1,9 @@
 """Conversion between ROS 2 messages and values of this library, without ROS.
 
-This package does not import any ROS package. A message to read may be any object with the fields of the message, such
-as a message of `rclpy` or `rosbags`. For writing, the caller passes `MessageTypes`, a function that maps names such as
-`"nav_msgs/msg/Path"` to classes. Times, frames, numbers, quaternions and sizes are checked; an `InvalidMessage` error
-contains message, field, index, value and rule.
+This package does not import any ROS package. A message to be read may be any object with the fields of the message,
+such as a message of `rclpy` or `rosbags`. To write messages, the caller passes `MessageTypes`, a function that maps
+names such as `"nav_msgs/msg/Path"` to classes. Times, frames, numbers, quaternions and sizes are checked; an
+`InvalidMessage` error contains message, field, index, value and rule.
 """
 
 from __future__ import annotations

@@ -181,7 +181,7 @@ def open_bag(source: str | Path) -> Iterator[BagRecording]:
 
 
 def _check_recording(source: Path) -> None:
-    """Reject devices and pipes, for which rosbags would wait, and metadata that exceed the limits of `load_yaml`."""
+    """Reject devices and pipes, on which rosbags would block, and metadata that exceed the limits of `load_yaml`."""
     if not os.path.isdir(source):  # noqa: PTH112 - False also for a name that is too long
         check_regular(source, MostBytes.RECORDING)
         return
@@ -247,7 +247,7 @@ class BagRecording:
         return f"its topics of type {' or '.join(kinds)}: {some}"
 
     def messages(self, topic: str, since: float, until: float) -> Iterator[tuple[float, Message]]:
-        """Yield the times of reception [s] and the messages of a topic, in order; nothing for an empty name.
+        """Yield the times of reception [s] and the messages of a topic, in order; yield nothing for an empty name.
 
         Raises:
             InvalidFile: If a message is damaged.

@@ -60,7 +60,7 @@ class Names(NamedTuple):
 
 
 def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
-    """Yield the messages of a plan file: the paths, then the motion as if it were driven without errors.
+    """Yield the messages of a plan file: the paths, then the messages of the motion driven without errors.
 
     If a problem is given, its map and markers of the swept outlines and of the closest point are also included.
 

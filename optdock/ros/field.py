@@ -1,4 +1,4 @@
-"""Recorded dockings: path, drive, costmap and outline of a recording, and their scenarios for the certificate."""
+"""Recorded dockings: path, drive, costmap and outline from a recording, and scenarios for their certificates."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ _BLOCK = 512  # poses whose clearance is computed together; bounds the memory
 
 
 class FieldTopics(NamedTuple):
-    """Topics to read: the first existing one of each kind; a single topic must exist. The defaults are Nav2's."""
+    """Topics to read, of each kind the first that exists; a single topic must exist. The defaults are Nav2's."""
 
     path: tuple[str, ...] = ("/docking_trajectory", "/plan_smoothed", "/plan")
     costmap: tuple[str, ...] = (
@@ -94,7 +94,7 @@ class FieldTopics(NamedTuple):
 
 
 class RecordedDrive(NamedTuple):
-    """Driven poses.
+    """Driven poses of a recording.
 
     Attributes:
         times: Times since the beginning of the recording, Shape (n,) [s].
@@ -134,8 +134,8 @@ class FieldOptions(NamedTuple):
         outline: Outline of the robot; None for the outline in the recording.
         base_frame: Frame of the robot; empty for the child frame of the odometry, or `base_link`.
         rule: Conversion of occupancies to costs; None for the defaults.
-        since: Time since the beginning of the recording before which messages are ignored [s].
-        until: Time since the beginning of the recording after which messages are ignored [s].
+        since: Time [s] since the beginning of the recording; earlier messages are ignored.
+        until: Time [s] since the beginning of the recording; later messages are ignored.
     """
 
     outline: Footprint | None = None
@@ -308,7 +308,7 @@ class _RecordingReader:
             return found.planar()
 
     def _evenly_spaced(self, topic: str) -> list[Message]:
-        """Return the messages of a topic; of many messages, `_OUTLINES` to 2 * `_OUTLINES` at even intervals."""
+        """Return the messages of a topic, evenly thinned to `_OUTLINES` to 2 * `_OUTLINES` if there are more."""
         found: list[Message] = []
         every = 1
         for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):
@@ -321,7 +321,7 @@ class _RecordingReader:
         return found
 
     def _footprint(self) -> Footprint:
-        """Return the median outline in the robot's frame, because each pose is only accurate to a control cycle."""
+        """Return the median of the outlines in the robot's frame; single poses are only accurate to a control cycle."""
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:
@@ -347,7 +347,8 @@ class _RecordingReader:
 def kept_poses(poses: FloatArray) -> tuple[int, ...]:
     """Return the rows of measured poses, Shape (n, 3), that form a path.
 
-    Consecutive rows differ by at least some centimetres or a small turn; both ends and every reversal are included.
+    Consecutive rows differ by at least some centimetres or a small turn; the first and the last row and every reversal
+    are included.
     """
     yaw = unwrap_yaw(poses[:, 2])
     step = np.diff(poses[:, :2], axis=0)
@@ -406,8 +407,8 @@ def judged_poses(
     Args:
         found: The docking.
         rule: Required clearance of the path and the drive.
-        contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
-            edge of the outline, inside and outside, are taken as free [m]. None for the diagonal of a cell.
+        contact: Tolerance [m] for contact with the dock at the end of the path: occupied cells within this distance of
+            the edge of the outline, inside and outside, are treated as free. None for the diagonal of a cell.
     """
     judged, drive = list[JudgedPoses](), found.drive
     known, rows = _without_contact(found, contact)

@@ -35,7 +35,8 @@ class StampedCostmap(NamedTuple):
 def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
     """Return the costmap of a `nav2_msgs/Costmap` or a `nav_msgs/OccupancyGrid`.
 
-    The resolution is the shortest decimal number with the same 32-bit value: 0.05 m, not 0.05000000074505806 m.
+    The resolution is the shortest decimal number with the same 32-bit value, such as 0.05 m instead of
+    0.05000000074505806 m.
 
     Args:
         message: The message.
@@ -72,7 +73,7 @@ def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None
 
     Raises:
         InvalidMessage: If an update is in a different frame, reaches beyond the costmap, has a wrong number of cells,
-            or an occupancy outside -1..100.
+            or contains an occupancy outside -1..100.
     """
     frame, stamp, grid = known
     data = grid.data.copy() if updates else grid.data

@@ -1,4 +1,4 @@
-"""Markers of a plan: path coloured by gear, swept outlines, goal, closest point."""
+"""Markers of a plan: path coloured by gear, swept outlines, goal, and closest point."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
 ) -> Message:
     """Return a path as a `visualization_msgs/MarkerArray`.
 
-    The namespaces and ids of the markers are always the same, so that an array replaces the previous array. Markers
+    The namespaces and ids of the markers are always the same, so each array replaces the previous array. Markers
     without content are deleted.
 
     Args:

@@ -169,8 +169,8 @@ def footprint(message: Message, at: Pose2 | None = None) -> StampedFootprint:
 
     Args:
         message: The message.
-        at: Pose of the robot in the message's frame: the outline is transformed into the robot's frame, which is needed
-            for `published_footprint`. None for no transformation.
+        at: Pose of the robot in the message's frame: the outline is transformed into the robot's frame, as required for
+            `published_footprint`. None: no transformation.
 
     Raises:
         InvalidMessage: If a number is not finite, there is no frame, or the points do not form a simple polygon.
@@ -287,7 +287,7 @@ def pose_message(types: MessageTypes, pose: Pose2, frame: str, stamp: float) -> 
 
 
 def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: float = 0.0, *, stamped: bool) -> Message:
-    """Return a `geometry_msgs/Twist`, or if `stamped` a `geometry_msgs/TwistStamped` with a frame and a stamp [s].
+    """Return a `geometry_msgs/Twist`, or a `geometry_msgs/TwistStamped` with frame and stamp [s] if `stamped`.
 
     Raises:
         InvalidValue: If the frame or the time of a `TwistStamped` is invalid.

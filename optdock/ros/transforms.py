@@ -39,7 +39,7 @@ class TransformError(OptdockError):
 
 @dataclass(frozen=True)
 class Transform:
-    """The pose of one frame in another.
+    """The pose of one frame in another frame.
 
     Args:
         target: Frame in which the pose is given.
@@ -94,9 +94,9 @@ _Sample: TypeAlias = tuple[Vector, Quaternion]
 class _Track:
     """Parent of one frame, and the poses of the frame over time.
 
-    A sample takes 64 bytes in two arrays, because recordings have millions of samples. Samples are only appended, and
-    the time is appended after the values, so that other threads read complete samples. Any other change creates a new
-    track.
+    Samples are stored compactly, in two arrays with 64 bytes per sample, because a recording can contain millions of
+    samples. Samples are only appended, and the time is appended after the values, so other threads read only complete
+    samples. Any other change creates a new track.
     """
 
     __slots__ = ("is_static", "parent", "times", "values")
@@ -125,8 +125,8 @@ class TransformTree:
 
     Args:
         history: Duration for which transforms are kept [s].
-        reach: Duration before the first and after the last message of a frame for which the frame is assumed not to
-            move [s].
+        reach: Duration [s] before the first and after the last message of a frame for which the frame is assumed not to
+            move.
     """
 
     def __init__(self, history: float = math.inf, reach: float = 0.0) -> None:
@@ -242,7 +242,7 @@ class TransformTree:
         return Transform(target, source, at, found.translation, found.rotation)
 
     def _along(self, tracks: Mapping[str, _Track], chain: list[str], frame: str, at: float) -> Transform:
-        """Return the pose of `frame` in the last frame of the chain of its parents."""
+        """Return the pose of `frame` in the last frame of its chain of parents."""
         found = Transform(frame, frame, at, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         for name in chain:
             place, turn = self._at(name, tracks[name], at)
@@ -250,7 +250,7 @@ class TransformTree:
         return found
 
     def _at(self, name: str, track: _Track, at: float) -> _Sample:
-        """Return the pose of a frame in its parent; at later times, which the caller checks, the last pose."""
+        """Return the pose of a frame in its parent; at later times the last pose, whose age the caller checks."""
         times, count = track.times, len(track.times)
         if track.is_static or at >= times[count - 1]:
             return track.sample(count - 1)

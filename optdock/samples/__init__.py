@@ -1,4 +1,4 @@
-"""Motions given by samples only, which cannot be certified but can be refuted.
+"""Motions known only from samples, which can be refuted but not certified.
 
 - `sampled_motion`: rounding, and the position of each sample along its path.
 - `refutation`: the rules that samples can violate.

@@ -1,4 +1,4 @@
-"""Timed motions that are given by samples only: the samples can refute a motion, but never prove one.
+"""Timed motions that are known only from samples, which can refute a motion but never prove it.
 
 Samples do not determine the motion between them, so `certify_trajectory` needs the time law. But every motion within
 the limits satisfies inequalities between any two instants. With signed speed v and acceleration a, acceleration limit
@@ -11,11 +11,11 @@ A, deceleration limit D, jerk limit J and steps of h:
 The inequalities are checked between neighbouring samples and between samples 2, 4, 8, ... apart, where rounding has
 less effect. In a turn in place they are also checked for yaw, yaw rate and yaw acceleration. At each sample the columns
 must satisfy the limits, and yaw rate w and yaw acceleration w' must match the path's curvature k and its rate r: w =
-|v| k, w' = a k + v^2 r. Between two parts of the path the robot must rest. It takes at least max(sqrt(2 v / J), a / J)
-to stop after the sample before the rest, and as long to start before the sample after the rest, with v and a of the
-respective sample.
+|v| k, w' = a k + v^2 r. Between two parts of the path the robot must rest. The stop after the last sample before the
+rest takes at least max(sqrt(2 v / J), a / J), with v and a of that sample. The start before the first sample after the
+rest takes at least the same expression with v and a of that sample.
 
-Columns in which all numbers have three to five decimals count as rounded, other columns as accurate to 1e-6. The
+Columns in which all numbers have three to five decimals count as rounded; other columns count as accurate to 1e-6. The
 rounding of a value is subtracted before the value is compared with its limit.
 """
 
@@ -86,7 +86,7 @@ class SampledMotionVerdict:
 
     @property
     def off_path(self) -> bool:
-        """Whether poses deviate from the path so far that the clearance must cover the deviation."""
+        """Whether the deviation of poses from the path is so large that the clearance must cover it."""
         return max(self.offset) > ON_PATH
 
     def __bool__(self) -> bool:
@@ -99,10 +99,10 @@ class SampledMotionVerdict:
 
 
 def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProblem) -> SampledMotionVerdict:
-    """Check whether samples refute the motion that they describe, by the rules in the docstring of the module.
+    """Check whether samples refute the motion that they describe, by the rules in the module docstring.
 
-    Poses may be off the path by up to 2e-3 m and 2e-3 rad if the clearance of the path exceeds the required clearance
-    by the resulting displacement. Otherwise they must lie on the path within 1e-6.
+    Poses may deviate from the path by up to 2e-3 m and 2e-3 rad if the clearance of the path exceeds the required
+    clearance by the resulting displacement. Otherwise poses may deviate by at most 1e-6 m and 1e-6 rad.
 
     Args:
         motion: The samples.
@@ -131,7 +131,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
 
 
 def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> FloatArray:
-    """Return bounds of the error of distances integrated from speeds by trapezoids, Shape (n - 1,) [m].
+    """Return error bounds of distances integrated from speeds by the trapezoidal rule, Shape (n - 1,) [m].
 
     At speeds up to `rest` the gear may change within the step, and only the acceleration limits bound the error.
     """
@@ -161,7 +161,7 @@ def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
 
 
 def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) -> bool:
-    """Whether footprints at this distance [m] and turn [rad] from the path keep the required clearance.
+    """Whether footprints at this distance [m] and turn [rad] from the path have the required clearance.
 
     Such a pose moves no point of the footprint by more than distance + radius * turn, with the circumscribed radius. If
     the start is closer to an obstacle than required, no deviation is allowed.
@@ -205,7 +205,7 @@ class _Bends(NamedTuple):
 
 
 def _polyline_curvatures(segment: PolylineSegment) -> tuple[FloatArray, FloatArray]:
-    """Return the least and largest possible curvature of the sampled curve on each step, Shape (steps,) each [1/m].
+    """Return the least and the largest possible curvature [1/m] of the sampled curve on each step, Shape (steps,) each.
 
     The turn of a step gives only the mean curvature, so the range includes the neighbouring steps, widened by their
     difference and by the rounding of the poses.
@@ -270,7 +270,7 @@ class _Rules:
     def _residuals(
         self, kind: str, column: FloatArray, bound: FloatArray, rough: float, rows: slice = slice(None)
     ) -> None:
-        """Compare changes of a residual between samples 1, 2, 4, ... apart with the sums of the bounds of the steps."""
+        """Compare changes of a residual between samples 1, 2, 4, ... apart with the summed bounds of the steps."""
         column, allowed, lag, known = column[rows], _sums(bound)[rows], 1, len(self.found)
         while lag < column.size and len(self.found) == known and np.isfinite(allowed[-1]):
             change, most = np.abs(column[lag:] - column[:-lag]), allowed[lag:] - allowed[:-lag]
@@ -334,7 +334,7 @@ class _Rules:
         self._limited({"max_jerk": (np.abs(motion.jerk), self._rounding.jerk)})
 
     def check_curvature(self) -> None:
-        """Check the limits of quantities that depend on curvature, and the yaw columns against the curvature."""
+        """Check the limits of quantities that depend on curvature, and compare the yaw columns with the curvature."""
         motion, limits, rounding, v = self._motion, self._limits, self._rounding, self._v
         bends = _Bends.of(self._path, self._places.s, self._slack + _ARITHMETIC)
         yaw_rate = np.abs(motion.yaw_rate)
@@ -425,7 +425,7 @@ class _Rules:
             self._add("coverage", message, run.begin, missing)
 
     def check_rests(self) -> None:
-        """Check that the samples between two parts of the path leave time to stop and to start again."""
+        """Check that the samples between two parts of the path leave enough time to stop and to start again."""
         t = self._motion.t
         for before, behind in itertools.pairwise(self._runs):
             last, first = before.last, behind.first
@@ -441,7 +441,7 @@ class _Rules:
             self._add("rest", message, s, missing)
 
     def _stop(self, run: Run, i: int) -> float:
-        """Return the least time between sample `i` and a rest [s]."""
+        """Return the least time [s] between sample `i` and a rest."""
         limits, names = self._limits, ("speed", "acceleration")
         steepest, jerk = max(limits.max_acceleration, limits.max_deceleration), limits.max_jerk
         if run.is_turn:
@@ -517,8 +517,8 @@ def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
 def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
     """Check whether samples belong to `trajectory`, within 1e-6 or the rounding of their columns.
 
-    The clearance must cover deviations of more than 1e-6. At jumps of jerk and yaw acceleration, the values on both
-    sides and all between them are accepted.
+    The clearance must cover deviations of more than 1e-6. At jumps of jerk and yaw acceleration, the values of both
+    sides and all values between them are accepted.
 
     Args:
         trajectory: The motion; `certify_trajectory` gives the verdict on the motion itself.

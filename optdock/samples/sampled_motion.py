@@ -1,9 +1,9 @@
-"""Motions given by samples, their rounding, and the position of each sample along the path.
+"""Motions given by samples, the rounding of the samples, and the position of each sample along the path.
 
-A pose alone does not determine the position along the path: paths cross themselves and fold back at cusps. The signs of
-speed and yaw rate divide the samples into runs (forward, reverse, turn left, turn right), which must match the parts of
-the path in order. Within a part the integrated speed gives the approximate position, and the projection of the pose
-gives the exact position.
+A pose alone does not determine the position along the path, because paths may cross themselves and fold back at cusps.
+The signs of speed and yaw rate divide the samples into runs (forward, reverse, turn left, turn right), which must match
+the parts of the path in order. Within a part the integrated speed gives the approximate position, and the projection of
+the pose gives the exact position.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Rounding(NamedTuple):
 
     @classmethod
     def of(cls, motion: SampledMotion) -> Rounding:
-        """Return half a unit of the last decimal of each kind; times on an even grid are exact, others to 5e-7."""
+        """Return half a unit of the last decimal of each kind; times on an even grid are exact, others within 5e-7."""
         steps = np.diff(motion.t)
         even = bool(np.ptp(steps) <= 1e-9 * steps[0])
         resolution = float(np.spacing(np.max(np.abs(motion.t))))

@@ -32,7 +32,7 @@ class Deviations(NamedTuple):
 
     Attributes:
         s: Arc length at which the excess over the tube is smallest [m].
-        along: Error along the heading of the path at `s` [m]; small except beyond an end or a cusp.
+        along: Error along the heading of the path at `s` [m]; small except for poses beyond an end or a cusp.
         cross: Error to the left of the path at `s` [m].
         yaw: Heading error [rad].
         displacement: Bound of the displacement of the footprint from the path at `s` [m].

@@ -1,4 +1,4 @@
-"""Simulation: plants, sensors, a simulated robot, closed-loop runs."""
+"""Simulation: plant models, sensors, a simulated robot, and closed-loop runs."""
 
 from optdock.geometry.pose import pose_errors
 from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest, plant_of

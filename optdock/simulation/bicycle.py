@@ -1,12 +1,12 @@
 """Bicycle model [DeLuca2001] of a car driven by velocity commands, and selection of a plant by the robot's drive.
 
 The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
-requests the curvature angular / linear, and thus the steering angle atan(wheelbase * curvature).
+requests the curvature angular / linear, and therefore the steering angle atan(wheelbase * curvature).
 
 A command with zero speed has no curvature. For such a command most base controllers, such as the steering controllers
-of ros2_control and the converter of teb_local_planner, steer straight, which is also the default of this model; others
-hold the last angle. To steer the wheels of a car at rest, command the required ratio at a speed that has no effect: a
-speed within the dead band, or 1e-6 m/s.
+of ros2_control and the converter of teb_local_planner, steer straight, which is also the default of this model; other
+controllers hold the last angle. To steer the wheels of a car at rest, command the required ratio at a speed that has no
+effect, such as a speed within the dead band or 1e-6 m/s.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = ["Bicycle", "Steering", "SteeringAtRest", "plant_of"]
 
 
 class SteeringAtRest(str, Enum):
-    """Steering at a commanded speed of 0."""
+    """Behaviour of the steering at a commanded speed of 0."""
 
     STRAIGHTEN = "straighten"
     HOLD = "hold"
@@ -81,7 +81,7 @@ class Steering:
 
 @dataclass(frozen=True, eq=False)
 class Bicycle:
-    """Plant of a car; `PlantState.drive` contains the speed and the measured steering angle.
+    """Plant model of a car; `PlantState.drive` contains the speed and the measured steering angle.
 
     The result is exact on circles. While speed or angle change, each sub-step follows the arc of its mean speed and yaw
     rate.
@@ -197,7 +197,7 @@ class Bicycle:
         return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
 
     def _aim(self, angle: float, wanted: float) -> float:
-        """Return the final angle, which is the nearer end of the play around the commanded angle."""
+        """Return the final angle: the present angle, limited to the range of the play around the commanded angle."""
         return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
 
     def _turned(self, angle: float, wanted: float, span: float) -> float:

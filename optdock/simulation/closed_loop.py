@@ -57,9 +57,9 @@ class SimulationSettings:
         position_noise: Standard deviation of the white noise of the measured x and y [m].
         yaw_noise: Standard deviation of the white noise of the measured yaw [rad].
         seed: Seed of the noise.
-        start: True pose at the beginning; None: start of the trajectory. The initial velocity is the initial velocity
-            of the trajectory.
-        obstacles: Obstacles for the clearance of the driven poses; None: no clearance.
+        start: True pose at the beginning; None: start of the trajectory. The robot begins at the initial velocity of
+            the trajectory.
+        obstacles: Obstacles for the clearance of the driven poses; None: the clearance is not computed.
 
     Raises:
         InvalidValue: If the period is not > 0, or a standard deviation or the timeout is negative or not finite.
@@ -144,7 +144,7 @@ class Run(FrozenArrays):
 
     @property
     def fault(self) -> str:
-        """Description of a collision or of a failure to dock; empty if neither occurred."""
+        """Description of a collision or of a failed docking; empty if neither occurred."""
         if self.collided:
             return f"collided: the footprint went {-(self.min_clearance or 0.0):.4f} m into an obstacle"
         return "" if self.docked else f"not docked: {self.reason}"
@@ -274,8 +274,8 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 class RemainingPath:
     """A sampled path with the monotonic progress of the robot along the path, up to the last two poses.
 
-    The position of the robot is the nearest of the next samples of the present gear segment, without turns in place;
-    the next segment begins at the sample of the cusp. Thus the overlapping segments at a cusp are distinguished, and
+    Among the next samples of the present gear segment, without turns in place, the nearest one is the position of the
+    robot; the next segment begins at the sample of the cusp. Overlapping segments at a cusp are thus distinguished, and
     the path-length rule of the checkers applies only to the last segment.
 
     Args:
@@ -306,7 +306,7 @@ class RemainingPath:
 def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, poses: FloatArray) -> str:
     """Return a description of how driven poses left the certified tube or clearance; empty if all poses are inside.
 
-    A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if a tube is given,
+    A pose is outside if a tracking tube (`Robot.tracking`) is given and the displacement exceeds the width of the tube,
     or if the footprint is closer to an obstacle than the problem's clearance requires. Without a tube only the
     clearance is checked. Near the dock the certificate reserves less than the width of the tube, so a pose within the
     tube can still violate the clearance. Within the dock's tolerances the robot may penetrate its station by the travel

@@ -1,8 +1,8 @@
-"""The plant: a differential drive with latency, lag, dead bands, wheel errors and slip.
+"""The plant model: a differential drive with latency, lag, dead bands, wheel errors and slip.
 
 The effects are applied in this order: limits of the robot, dead band and gains, latency, wheels (gain, dead band,
 saturation), lag, a stuck wheel, slip. Between arrivals of commands the target is constant and the lag is integrated
-exactly, so that steps may have any duration.
+exactly, so steps may have any duration.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _Target = tuple[float, float]
 
 @dataclass(frozen=True)
 class Actuation:
-    """Response of the drive to commands; the default is perfect.
+    """Response of the drive to commands; by default, the drive is perfect.
 
     Args:
         linear_lag: Time constant of the first-order lag of the speed [s]; 0: no lag.
@@ -219,7 +219,7 @@ class Slip:
     def after(
         self, noise: tuple[float, float, float], drawn: int, duration: float
     ) -> tuple[tuple[float, float, float], int]:
-        """Return the three standardized noises after `duration` [s], and the number of random numbers drawn."""
+        """Return the three standardized noise values after `duration` [s], and the number of random numbers drawn."""
         if not self._noisy:
             return noise, drawn
         keep = math.exp(-duration / _SLIP_CORRELATION)
@@ -267,7 +267,7 @@ class PlantState(NamedTuple):
 
 
 class Plant(Protocol):
-    """Motion of a robot in a simulation, in steps of any duration."""
+    """Interface of plant models, which compute the motion of a robot in steps of any duration."""
 
     @property
     def robot(self) -> Robot:
@@ -285,7 +285,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
-    """Plant of a robot with two driven wheels.
+    """Plant model of a robot with two driven wheels.
 
     A step is split at the arrivals of commands. Between arrivals, the robot follows the arc of its mean velocity, in
     sub-steps if there is a lag. The result is exact for constant velocities. Accelerations are not limited; the
@@ -425,7 +425,7 @@ class _Normals:
 
 
 def check_duration(value: float, name: str) -> None:
-    """Check a duration.
+    """Check the duration of a step.
 
     Raises:
         InvalidValue: If the duration is not finite and > 0.

@@ -1,8 +1,8 @@
 """The sensors of a simulated robot: localization, odometry and the detector of the dock.
 
-Each sensor is a frozen description. Its `reader(seed)` keeps the state, such as a random walk, counted ticks, and
-detections that have not been delivered yet. A reader draws the same random numbers with and without faults, so that a
-fault does not change the other errors.
+Each sensor class is an immutable description of a sensor. Its `reader(seed)` contains the state, such as a random walk,
+counted ticks, or detections that have not been delivered yet. A reader draws the same random numbers with and without
+faults, so a fault does not change the other errors.
 """
 
 from __future__ import annotations

@@ -48,11 +48,11 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Station:
-    """Stop and contact switch of a dock, without forces.
+    """Mechanical stop and contact switch of a dock, modelled without forces.
 
-    The stop is a plane across the axis of the dock, and acts only on a robot that comes from the front. A robot from
-    the side or from behind passes through the plane, and collides with the outline of the station if the obstacles
-    contain this outline.
+    The stop is a plane across the axis of the dock, and acts only on a robot that comes from the front. A robot that
+    comes from the side or from behind passes through the plane. It collides with the outline of the station if the
+    obstacles contain this outline.
 
     Args:
         direction: Gear of the last motion, forward or backward.
@@ -131,8 +131,8 @@ class SimulatedRobot:
     """A plant, its sensors and a dock with a common clock, which begins at 0.
 
     Each sensor has a separate random stream, so a change of one sensor does not affect the others. `start`, `dock_pose`
-    and the obstacles are given in the fixed frame. The simulation does not contain the stored dock, which only the
-    planner uses.
+    and the obstacles are given in the fixed frame. The stored dock, which only the planner uses, is not part of the
+    simulation.
 
     Args:
         plant: Plant of the robot.
@@ -209,13 +209,13 @@ class SimulatedRobot:
         return self.state.pose.in_frame_of(self.dock_pose)
 
     def clearance(self) -> float:
-        """Return the smallest signed distance between the recorded true footprints and any obstacle [m]."""
+        """Return the smallest signed distance [m] between the recorded true footprints and any obstacle."""
         poses = np.array([row[1:4] for row in self._rows])
         footprint = self.plant.robot.footprint
         return min((executed_clearance(footprint, poses[i:], those) for i, those in self._obstacles), default=math.inf)
 
     def record(self) -> Record:
-        """Return the record until now."""
+        """Return the record up to the present time."""
         rows = np.array(self._rows, dtype=np.float64)
         commands = np.array([*self._commands, (0.0, 0.0)], dtype=np.float64)
         delivered = np.array([time for time, _ in self._detections], dtype=np.float64)
@@ -234,7 +234,7 @@ class SimulatedRobot:
         )
 
     def forget(self) -> None:
-        """Clear the record, to bound the memory of long runs; `clearance` is restarted."""
+        """Clear the record, which bounds the memory of long runs; `clearance` is restarted."""
         self._rows = self._rows[-1:]
         self._commands.clear()
         self._detections.clear()
@@ -271,7 +271,7 @@ class SimulatedRobot:
 
 
 def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> float:
-    """Return the smallest signed distance between the footprint at any of the poses and any obstacle [m].
+    """Return the smallest signed distance [m] between the footprint at any of the poses and any obstacle.
 
     The motion between the poses is not checked.
 

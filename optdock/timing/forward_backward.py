@@ -25,7 +25,7 @@ class SpeedProfile(NamedTuple):
 
 
 def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
-    """Return the largest v^2 under caps, acceleration and deceleration; turning limits are applied as caps at a = 0.
+    """Return the largest v^2 under caps and acceleration limits; turning limits are applied as speed caps at a = 0.
 
     The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
     2 A. This function is computed by one sweep forward and one sweep backward [Bobrow1985].

@@ -3,12 +3,12 @@
     minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
     subject to A c <= 1,   B c <= f / sqrt(c_{m+1}),   two coefficients given at each end,
 
-where f is sqrt(c) divided by a speed in the cell, held fixed after some iterations. The rows B are limits on a product
-with the speed, such as the jerk |x''| v / 2.
+where f is sqrt(c) divided by a speed in the cell and is kept constant after some iterations. Each row of B limits the
+product of a linear term and the speed, such as the jerk |x''| v / 2.
 
-Every row contains three neighbouring coefficients, so Newton's normal matrix is pentadiagonal. Q, the price on jerk
+Every row contains three neighbouring coefficients, so Newton's normal matrix is pentadiagonal. Q, the penalty on jerk
 steps, adds one band. Each iteration is one call of LAPACK's `dpbsv`. The right side of the rows B is convex in c; its
-linearization is an inner approximation, as in the convex-concave procedure [Lipp2016], without its curvature. The
+linearization, which omits the curvature, is an inner approximation as in the convex-concave procedure [Lipp2016]. The
 method of [Wright1997] is used with slacks, S + G = 0, S Z = mu, and separate primal and dual steps.
 """
 
@@ -46,7 +46,7 @@ def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
 
 
 class Program(NamedTuple):
-    """Program with M cells and M + 2 coefficients, of which two are given at each end."""
+    """Program with M cells and M + 2 coefficients; the two coefficients at each end are given."""
 
     steps: FloatArray  # lengths of the cells h, Shape (M,) [m]
     rows: FloatArray  # linear constraints A c <= 1 as stencils, Shape (3, rows, M)
@@ -96,7 +96,7 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
 
 
 class _Iterate:
-    """Program at the current coefficients: values of the constraints, their stencils, Newton's normal equations."""
+    """Constraint values, stencils and Newton's normal equations of the program at the current coefficients."""
 
     def __init__(self, program: Program, c: FloatArray) -> None:
         self.program = program

@@ -44,12 +44,12 @@ def state_after(state: MotionState, duration: float, jerk: float) -> MotionState
 
 
 def duration_of(phases: Phases) -> float:
-    """Return the total time [s]."""
+    """Return the total duration of phases [s]."""
     return sum(duration for duration, _jerk in phases)
 
 
 def stretched(phases: Phases, factor: float) -> Phases:
-    """Return the same motion from rest, slowed down by `factor` >= 1; every limit that was kept is still kept.
+    """Return the same motion from rest, slowed down by `factor` >= 1; limits satisfied before remain satisfied.
 
     Speeds are divided by the factor, accelerations by its square, jerk by its cube.
     """

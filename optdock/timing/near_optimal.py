@@ -1,16 +1,17 @@
 """The near-optimal method: within about 1 % of the jerk-limited optimum, in a few milliseconds.
 
-Plans of one segment (`near_optimal_plans`), each made only if the previous plan was rejected:
+For each segment the method yields the following plans (`near_optimal_plans`), each only if the previous plan was
+rejected:
 
-1. One ruckig move over the whole segment, if it keeps the limits; slower moves on a tiny segment.
+1. One ruckig move over the whole segment, if it satisfies the limits; on a tiny segment, also slower moves.
 2. A reference and the moves along it.
-3. From rest, the same motion slightly stretched in time, which is exact and always possible.
+3. From rest, the same motion slightly stretched in time. The stretch is exact and always possible.
 4. Steps 2 and 3 again with reduced speeds around violations, at most twice.
-5. From rest, the best of these motions, stretched until it keeps every limit, and the windowed method; the faster
-   result first.
+5. From rest, the best of these motions, stretched until it satisfies every limit, and the result of the windowed
+   method, the faster of the two first.
 
-If all plans of a moving start are rejected, `retry_strategy` brakes to rest and plans from there; it also makes the
-final proof.
+If the robot moves at the start and all plans are rejected, `retry_strategy` brakes to rest and plans from there. It
+also makes the final proof.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class NearOptimalParameters(PluginParameters):
 
 
 class NearOptimal(SegmentTimeParameterizer):
-    """Time laws within about 1 % of the jerk-limited optimum, in a few milliseconds."""
+    """Compute time laws within about 1 % of the jerk-limited optimum, in a few milliseconds."""
 
     Parameters = NearOptimalParameters
     parameters: NearOptimalParameters
@@ -96,7 +97,7 @@ class NearOptimal(SegmentTimeParameterizer):
 def near_optimal_plans(
     limits: PathLimits, start: MotionState, deadlines: Deadlines, step: float = KNOT_STEP, *, smooth: bool = False
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment by every method in order; the speed caps can be kept from the start state.
+    """Yield plans of one segment by every method in order, from a start state that permits the speed caps.
 
     A plan is made only if the previous plan was rejected. The status of the windowed method's plan may be FAIL.
 

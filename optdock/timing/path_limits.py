@@ -1,6 +1,6 @@
-"""Path limits: bounds on the motion along one segment of a path, from the curvature and the limits of the drive.
+"""Path limits: bounds on the motion along one segment, derived from its curvature and the limits of the drive.
 
-Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
+A segment has the curvature k(s) = dtheta/ds over arc length s, with the rate k'(s). With the speed v and its rate a,
 
     v <= min(v_max, sqrt(a_lat / |k|), w_max / |k|, v_wheel / (1 + b |k| / 2), v_zone)    the speed caps,
     v <= steering rate (1 + (L k)^2) / (L |k'|)                                           the cap of steered wheels,
@@ -10,8 +10,8 @@ The turning limits are defined in `turning_limits`. The steering angle atan(L k)
 k' v / (1 + (L k)^2); the cap is discontinuous where k' is.
 
 The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds above which no motion
-at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are stored as their
-reciprocals, `slowness`: the largest reciprocal is the limit, and an infinite limit is zero.
+at constant speed satisfies a turning limit; for a limit al on the yaw acceleration this speed is sqrt(al / |k'|).
+Speeds are stored as their reciprocals, `slowness`: the largest reciprocal is the limit, and an infinite limit is zero.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ class PathLimits:
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         turning: Turning limits of the drive.
         length: Length of the segment [m].
-        duration_estimate: Longest of three approximate lower bounds: along the maximum velocity curve, and
-            from rest to rest under only the acceleration or only the jerk limit [s].
+        duration_estimate: Longest of three approximate lower bounds [s]: along the maximum velocity curve, from rest to
+            rest under only the acceleration limit, and from rest to rest under only the jerk limit.
     """
 
     s: FloatArray  # nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start
@@ -223,7 +223,7 @@ class PathLimits:
         return LimitPoints(curvature, rate, slowness)
 
     def cap_at(self, s: float) -> tuple[str, str]:
-        """Return the name of the limit with the lowest speed cap at `s` [m], and the name with the value."""
+        """Return the name of the limit with the lowest speed cap at `s` [m], and a text with the name and the value."""
         point = self.points_at(np.array([s]))
         if self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed:
             return "approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s"
@@ -316,7 +316,7 @@ def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
 
 
 def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
-    """Return the steps' curvature, as in `certify_trajectory`, minus the mean between the poses [1/m]."""
+    """Return the curvature of the steps, as in `certify_trajectory`, minus the mean between the poses [1/m]."""
     steps = np.abs(segment.step_curvature)
     at_poses = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
     excess: FloatArray = np.maximum(np.interp(s, segment.knots, at_poses) - np.abs(segment.curvature_at(s)), 0.0)
@@ -336,7 +336,7 @@ def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
 
 
 class Tightening(NamedTuple):
-    """Interval [m] in which speeds must be smaller by `factor` than the limits allow."""
+    """Interval [m] in which speeds must be reduced by `factor` below the limits."""
 
     left: float
     right: float
@@ -345,14 +345,14 @@ class Tightening(NamedTuple):
 
 @dataclass(eq=False)
 class ReferenceBounds:
-    """Limits of a segment less margins: bounds for the reference per cell, and for the moves along it.
+    """Limits of a segment, reduced by margins: bounds per cell for the reference, and bounds for the moves along it.
 
     Attributes:
         speed_squared: Bound on v^2 in each cell for the reference, Shape (n - 1,) [m^2/s^2].
         turning: Turning limits in each cell for the reference, Shape (n - 1,) each.
         cap_squared: v^2 of the speed caps of a cell, without margin, Shape (n - 1,) [m^2/s^2].
-        jumps: Indices of the inner nodes where a jump of the curvature rate is large for the yaw acceleration or the
-            cap of the steering rate.
+        jumps: Indices of the inner nodes where a jump of the curvature rate is large in relation to the limit of the
+            yaw acceleration or to the cap of the steering rate.
     """
 
     limits: PathLimits
@@ -406,13 +406,13 @@ class ReferenceBounds:
         return values
 
     def excess_at(self, s: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the factor on time for which the checked limits are kept at `s`; > 1 means too fast. Shape (n,)."""
+        """Return the time stretch factor that satisfies the checked limits at `s`; > 1 means too fast. Shape (n,)."""
         curvature, rate, slowness = self.curve_at(s)
         turning = turning_ratio(self.limits.turning, curvature, rate, v, a)
         return self._checked(s, np.maximum(v * slowness, np.sqrt(turning)))
 
     def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return `excess_at` at `nodes` for the limits that depend on the curvature rates on both sides. Shape (n,)."""
+        """Return the excess at `nodes` of the limits that depend on the curvature rates of both sides. Shape (n,)."""
         limits, curvature = self.limits, self.limits.curvature[nodes]
         sides = (limits.rate_right[nodes - 1], limits.rate_left[nodes])
         left, right = (turning_ratio(limits.turning, curvature, rate, v, a) for rate in sides)

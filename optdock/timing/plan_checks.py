@@ -1,6 +1,7 @@
 """The dense check of a motion over one segment, and the resulting segment plan.
 
-The check detects errors of a method early; the proof of `optdock.verification` makes the final decision.
+The check detects errors of a method early. Only the proof by `optdock.verification` decides whether a motion is
+accepted.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Worst(NamedTuple):
 
     @property
     def stretch(self) -> float:
-        """Factor on time for which every limit is kept."""
+        """Factor by which time must be stretched to satisfy every limit."""
         return max(self.path, self.drive)
 
     def words(self, begin: float) -> str:
@@ -60,8 +61,8 @@ class Worst(NamedTuple):
 class _Ratios(NamedTuple):
     """Ratios of speeds (square root for the lateral acceleration) and turning limits at distances `s`, Shape (n,).
 
-    `drive`, the ratio of the acceleration, exists only for the first of these distances, which are those of the time
-    samples, because the acceleration is linear between them.
+    `drive`, the ratio of the acceleration, is computed only at the time samples, which come first, because the
+    acceleration is linear between them.
     """
 
     s: FloatArray
@@ -103,7 +104,7 @@ def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None =
 
 
 def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Worst:
-    """Return the worst ratio of all limits (including jerk) along a motion; at `times`, Shape (n,) [s], if given."""
+    """Return the worst ratio of all limits (including jerk) along a motion, at `times` if given, Shape (n,) [s]."""
     ratios = motion_ratios(limits, motion, times)
     largest = np.maximum(ratios.speed, ratios.turning)
     np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
@@ -131,7 +132,7 @@ def _limit_name(limits: PathLimits, motion: Motion, ratios: _Ratios, k: int) -> 
 
 
 class SegmentPlan(NamedTuple):
-    """Result of a method for one segment."""
+    """Motion planned by a method for one segment, with its status."""
 
     status: TimingStatus  # status of the timing
     phases: Phases = ()  # the motion; empty if there is none
@@ -145,7 +146,7 @@ class SegmentPlan(NamedTuple):
 
 
 def end_slack(limits: PathLimits) -> float:
-    """Return the largest distance from the end of the segment at which a motion may end [m]."""
+    """Return the largest distance [m] from the end of the segment at which a motion may end."""
     return min(_REACHED, _REACHED_SHARE * limits.length)
 
 
@@ -159,7 +160,7 @@ def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
 
 
 def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> SegmentPlan:
-    """Return the plan of a motion, OK if it ends as required and `worst` of the dense check keeps every limit."""
+    """Return the plan of a motion, OK if it ends as required and `worst`, from the dense check, violates no limit."""
     plan = arrived_plan(limits, motion, how)._replace(ratio=worst.ratio)
     if plan.status is not TimingStatus.OK or worst.ratio <= KEPT:
         return plan

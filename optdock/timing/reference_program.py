@@ -1,16 +1,17 @@
 """The reference program: a quadratic C1 spline of x = v^2 over arc length, convex except for jerk.
 
-With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time integral
-of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not linear. A turning limit of order 2 has the
-same form, linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move exists
-between the states at any two of its knots.
+With x = v^2, the acceleration is x' / 2 and the yaw acceleration is k x' / 2 + k' x. Both are linear in x and x', and
+the duration, the integral of 1 / sqrt(x), is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not linear. A turning
+limit of order 2 has the same form, linear in x and x', times the speed. Every quadratic spline of x is a motion, so a
+jerk-limited move exists between the states at any two of its knots.
 
-    minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
+    minimize   sum h_m / sqrt(c_{m+1})  (+ a penalty on jerk steps between cells, which prevents chattering)
     subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
 At v = 0 the formulation in x is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope
-and zero value never moves. Therefore arcs of constant jerk, launch and stop, lead from rest to the reference and back.
+and zero value never moves. Therefore two arcs of constant jerk connect the reference to rest: the launch arc and the
+stop arc.
 
 Order of this module: the arcs, the knots and their limits, the linear maps of the spline, the constraints,
 the initial guess, the solution, and its motion.
@@ -100,7 +101,7 @@ def stop_arc(bounds: ReferenceBounds) -> Arc:
 
 
 def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
-    """Return the arc of constant +J from rest or a low speed; an arc without phases for a faster start."""
+    """Return the arc of constant +J from rest or a low speed; for a faster start, the arc has no phases."""
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
     if start.v * start.v >= _SLOW**2 * float(bounds.cap_squared[0]):
@@ -149,7 +150,7 @@ class Grid(NamedTuple):
 
 
 def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
-    """Return knots from `first` to `last` at large jumps and one step of profile time apart, two at constant speed."""
+    """Return knots from `first` to `last`, at large jumps and every step of profile time, or two at constant speed."""
     limits, step = bounds.limits, bounds.step
     clock = _cruise_clock(bounds, profile)
     jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > _KNOT_JUMP]
@@ -165,7 +166,7 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, 
 
 
 def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
-    """Return the pseudo time at the nodes, slowed down where the profile is level and needs few knots."""
+    """Return the pseudo time at the nodes, slowed down where the speed is constant and needs few knots."""
     limits = bounds.limits
     total = float(profile.time[-1])
     times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
@@ -210,7 +211,7 @@ def _breaks(
 
 
 def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
-    """Return the jump at each node: ratio to the turning limits, or v times the jump of 1 / speed cap if larger."""
+    """Return each node's jump: the larger of its ratio to the turning limits and v times the jump of 1 / speed cap."""
     limits, x = bounds.limits, profile.speed_squared[nodes]
     jump = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1])
     sizes: FloatArray = np.zeros(nodes.size)
@@ -250,7 +251,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 
 def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
-    """Whether each cell of the grid contains a jump that has no knot, Shape (M,)."""
+    """Return, for each cell of the grid, whether it contains a jump without a knot. Shape (M,)."""
     nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
     counts = np.searchsorted(places, knots)
@@ -310,7 +311,7 @@ def spline_of(steps: FloatArray) -> Spline:
 
 
 def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, last: MotionState) -> FloatArray:
-    """Return coefficients near `guess`, v^2 at the knots; the two coefficients at each end are exact: c = x -+ a h."""
+    """Return coefficients for `guess`, v^2 at the knots; the two coefficients at each end are exact: c = x -+ a h."""
     middle = 0.5 * (guess[:-1] + guess[1:])
     c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
     x0, x1 = first.v * first.v, last.v * last.v
@@ -328,10 +329,10 @@ class LimitRows(NamedTuple):
 
 
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
-    """Return the constraints of speed, acceleration, deceleration and turning limits at knots and centres.
+    """Return the constraints on speed, acceleration, deceleration and turning at knots and centres.
 
-    At a knot the rows of turning limits use the largest and the least rate of both sides, because x >= 0. The rows of
-    the last knot, whose state is given, are zero.
+    At a knot the rows of turning limits use the largest and the least rate of both sides, which suffices because x >=
+    0. The rows of the last knot, whose state is given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
     drive, share = bounds.limits.drive, 1.0 - _DRIVE_MARGIN
@@ -379,7 +380,8 @@ def initial_guess(
     """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
     The guess is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration
-    from one limit to the other, and limited by launch and stop. This guess halves the number of iterations to about 10.
+    from one limit to the other, and limited by the launch and stop arcs. This guess halves the number of iterations to
+    about 10.
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])
@@ -427,7 +429,7 @@ def solve_reference(
 ) -> ReferenceStates | None:
     """Return the fastest spline under `bounds` from a start state to rest, with its arcs.
 
-    Return None if the launch and stop arcs are too long for the segment, or if no spline keeps the limits.
+    Return None if the launch and stop arcs are too long for the segment, or if no spline satisfies the limits.
 
     Raises:
         OutOfTime: If the deadline passed.

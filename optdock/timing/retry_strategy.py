@@ -1,4 +1,4 @@
-"""Strategy that leads from a path to a proven time law, with all retries.
+"""Strategy for computing a proven time law of a path, with all retries.
 
 The robot is at rest at cusps and at the end, so each segment is planned separately. If the wheels must be steered
 between two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other
@@ -6,15 +6,15 @@ segments, the first of these cases that applies to the start state is used (`seg
 
 1. At rest: the plans of the method, best first; a plan is made only if the previous plan was rejected.
 2. The robot cannot avoid rolling backwards: BAD_START.
-3. Full braking needs more distance than the segment has: CANNOT_STOP, with the braking.
+3. Full braking needs more distance than the segment has: CANNOT_STOP, with the braking motion.
 4. Full braking, and thus every motion, violates a limit: START_INFEASIBLE, with braking past the last violation and
    then a plan, or braking to rest and then a plan from rest.
 5. Otherwise: the plans of the method, then stop and go, which is full braking to rest and a plan from there.
 
 The near-optimal method has several plans, listed in `near_optimal`; the windowed method has one plan. The plans of all
-segments give a motion (`time_path`), which `certify_trajectory` proves or rejects; for a rejected segment the next plan
-is tried. The search ends when the remaining time is just enough for the windowed method and its proof. After that no
-motion is started.
+segments give a motion (`time_path`), which `certify_trajectory` certifies or rejects; if a segment is rejected, its
+next plan is tried. The search ends when the remaining time is just enough for the windowed method and its proof. After
+that, no other motion is tried.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Deadlines(NamedTuple):
 NO_DEADLINES = Deadlines()
 
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
-"""A method that plans one segment from a state from which full braking keeps the speed caps.
+"""A method that plans one segment from a state from which full braking satisfies the speed caps.
 
 It yields plans of status OK, best first, each made only if the previous plan was rejected; the last plan may have
 status FAIL, with the reason.
@@ -103,7 +103,7 @@ status FAIL, with the reason.
 
 
 class TimingStart(NamedTuple):
-    """Start of a motion: speed [m/s], acceleration [m/s^2], and the wait at rest before it for steering [s]."""
+    """Start of a motion: speed [m/s], acceleration [m/s^2], and the time at rest before the motion for steering [s]."""
 
     speed: float
     acceleration: float
@@ -165,7 +165,7 @@ def time_path(
     method: SegmentPlanner,
     deadline: Deadline | None = None,
 ) -> TimingResult:
-    """Return the time law of a path; status OK is proven by `certify_trajectory`.
+    """Return the time law of a path; a result with status OK is certified by `certify_trajectory`.
 
     Args:
         path: Path to drive.
@@ -224,7 +224,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
 def _proven(
     path: Path, request: _Request, plans: list[SegmentPlan], waiting: list[Iterator[SegmentPlan]], whole: Deadline
 ) -> TimingResult:
-    """Return the proven result, with other plans for rejected segments, or the failure of a segment."""
+    """Return the certified result, with new plans in place of rejected ones, or the failure of a segment."""
     drive, zone, start = request
     while True:
         result = _result(path, request, plans)
@@ -319,7 +319,7 @@ def segment_plans(
     Args:
         limits: Limits along the segment; None if it has no length.
         start: State at s = 0.
-        method: Planner from a state from which the limits can be kept.
+        method: Planner for start states from which the limits can be satisfied.
         deadlines: Deadlines in wall-clock time.
 
     Raises:
@@ -346,7 +346,7 @@ def segment_plans(
 
 
 def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin: float) -> Iterator[SegmentPlan]:
-    """Yield the plan of a turn in place, which is the fastest move from rest to rest under the limits of turning.
+    """Yield the plan of a turn in place, which is the fastest move from rest to rest within the limits of turning.
 
     Args:
         turn: The segment.

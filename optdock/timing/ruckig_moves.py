@@ -1,7 +1,7 @@
-"""Moves computed by ruckig [Berscheid2021] between two states, and as few as possible along the reference.
+"""Moves between two states, computed by ruckig [Berscheid2021], and the division of a reference into a few moves.
 
-ruckig's community edition runs offline. Its moves may go backwards, and it accepts start states beyond its limits; both
-are checked here. Intermediate positions are never passed, because ruckig would then call a cloud service.
+ruckig's community edition runs offline. Its moves may go backwards, and it accepts start states beyond the limits; both
+cases are checked here. Intermediate positions are never passed to ruckig, because it would then call a cloud service.
 
 Every piece of the reference is first tried as one move; a piece whose move violates a limit is split at the knot
 nearest to the largest excess. Between two neighbouring knots, the motion of the reference is a move.
@@ -290,7 +290,7 @@ def _short_enough(nodes: _Nodes, ends: tuple[int, int], box: DriveBounds) -> Pha
 
 
 class _Samples(NamedTuple):
-    """States along several moves, one after the other; `begins` contains the index of the first state of each move."""
+    """States along several moves, move after move; `begins` contains the index of the first state of each move."""
 
     s: FloatArray
     v: FloatArray

@@ -1,8 +1,8 @@
-"""Start states: full braking shows in closed form whether (v0, a0) is feasible.
+"""Start states: a closed-form test, based on full braking, of whether a start (v0, a0) is feasible.
 
 Viability: among all controls from a start state, full braking (jerk -J to -D, hold, +J to rest) gives the least speed
-at every distance, because da/ds = j / v. Therefore the speed caps can be kept if and only if the full-braking curve
-stays below them; otherwise no other motion violates them less.
+at every distance, because da/ds = j / v. Therefore the speed caps can be satisfied if and only if the full-braking
+curve stays below them; otherwise, no other motion violates them less.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Braking:
         times: Sample times: phase boundaries, a grid, and every node of the limits, Shape (n,) [s].
         states: Distance, speed, acceleration at these times, Shape (3, n).
         path_ratios: Ratios of the limits that depend on the path, which no other motion from this start can reduce,
-            Shape (n,): the speed caps; the speed above which no acceleration keeps a turning limit, with D if k k' > 0,
-            otherwise with A; the turning limits at the start itself.
+            Shape (n,): the ratios to the speed caps, to the speed above which no acceleration satisfies a turning limit
+            (the acceleration is -D if k k' > 0, otherwise A), and to the turning limits at the start.
         cap_ratios: Ratios of the speed caps, Shape (n,).
         inevitable: Ratios of the turning limits, Shape (n,) each.
         turning_ratios: Result of `turning_ratio`, Shape (n,).
@@ -73,7 +73,7 @@ class Braking:
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
     def tight_length(self, slack: float, turning_share: float) -> float:
-        """Return the distance from the start over which braking permits no margins [m].
+        """Return the distance [m] from the start within which braking leaves no room for margins.
 
         Args:
             slack: Relative distance from the limits at which margins are possible.
@@ -89,7 +89,7 @@ class StartVerdict(NamedTuple):
     """Result of full braking for a moving start; true if there is no refusal.
 
     Args:
-        refusal: Reason why no motion keeps every limit, or None if a motion may keep them.
+        refusal: Reason why no motion satisfies every limit, or None if such a motion may exist.
         ways_on: Phases after which a plan may continue, and the state after them, best first.
     """
 
@@ -101,7 +101,7 @@ class StartVerdict(NamedTuple):
 
 
 def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
-    """Return whether the limits of a segment can be kept from a moving start, with the reason if not."""
+    """Return whether a motion from a moving start can satisfy the limits of a segment, with the reason if not."""
     begin = limits.begin
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot cannot avoid rolling backwards"

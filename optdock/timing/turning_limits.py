@@ -4,10 +4,10 @@ With the acceleration a and the curvature's rate r per metre
 
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
-which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity is divided by c^(n + 1),
-so the ratios of the quantity to the limit are raised to the power 2 / (n + 1); all ratios are then divided by the
-square of c.
+which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. With x = v^2, the
+second factor is linear in x and x', because a = x' / 2. Stretching time by c divides the quantity by c^(n + 1). The
+ratio of a quantity to its limit is therefore raised to the power 2 / (n + 1), so that a stretch by c divides all ratios
+by c^2.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class TurningLimit(NamedTuple):
         return ratio if self.order == 1 else np.cbrt(v * ratio) ** 2
 
     def slowness(self, rate: FloatArray, share: float = 1.0) -> FloatArray:
-        """Return the reciprocal of the constant speed at a share of the bound, for rates >= 0. Shape (n,) [s/m]."""
+        """Return the reciprocal of the constant speed that uses a share of the bound; rates >= 0. Shape (n,) [s/m]."""
         return self._root(rate * (1.0 / (share * self.bound)))
 
     def fastest(self, rate: float) -> float:
-        """Return the constant speed at which the bound is reached at a curvature rate >= 0 [m/s]."""
+        """Return the constant speed [m/s] at which the quantity reaches its bound, for a curvature rate >= 0."""
         if rate <= 0.0:
             return math.inf
         return math.sqrt(self.bound / rate) if self.order == 1 else math.pow(self.bound / rate, 1.0 / 3.0)
@@ -60,12 +60,12 @@ class TurningLimit(NamedTuple):
         return bounds / rate if self.order == 1 else np.cbrt(bounds / rate) ** 2
 
     def bounds(self, shares: FloatArray) -> FloatArray:
-        """Return the bounds for which speeds decrease by the root of each share. Shape (n,)."""
+        """Return the bounds that reduce the constant speeds by the square root of each share. Shape (n,)."""
         bounds: FloatArray = min(self.bound, _HUGE) * (shares if self.order == 1 else shares * np.sqrt(shares))
         return bounds
 
     def acceleration_beside(self, v: FloatArray, bend: FloatArray, rate: FloatArray, share: float) -> FloatArray:
-        """Return the acceleration that is possible at speeds up to v, at curvatures and rates >= 0. Shape (n,) [m/s^2].
+        """Return the largest acceleration for speeds up to v, curvatures >= 0 and rates >= 0. Shape (n,) [m/s^2].
 
         The acceleration uses a share of the bound less v^2 rate; it is infinite on a straight line.
         """
@@ -75,9 +75,10 @@ class TurningLimit(NamedTuple):
         return ceiling
 
     def arc_acceleration(self, v: float, jerk: float, bend: float, share: float) -> float:
-        """Return the largest acceleration of an arc of constant jerk from the speed v, at a curvature >= 0 [m/s^2].
+        """Return the largest acceleration [m/s^2] during a phase of constant jerk that begins at speed v.
 
-        The speed of the arc is at most v + a^2 / (2 jerk); each term may use half of a share of the bound.
+        `bend`: curvature >= 0. During the phase, the speed is at most v + a^2 / (2 jerk). Each of these two terms may
+            use half of the given share of the bound.
         """
         if bend <= 0.0:
             return math.inf
@@ -87,9 +88,9 @@ class TurningLimit(NamedTuple):
         return min(half / (2.0 * v * bend) if v > 0.0 else math.inf, math.pow(half * jerk / bend, 1.0 / 3.0))
 
     def inevitable(self, v: FloatArray, curvature: FloatArray, rate: FloatArray, relief: FloatArray) -> FloatArray:
-        """Return v divided by the largest speed at which an acceleration of size `relief` keeps the limit. Shape (n,).
+        """Return v divided by the largest speed at which an acceleration of size `relief` meets the limit. Shape (n,).
 
-        The acceleration has the favourable sign. If the ratio is above 1, the limit cannot be kept at v or any larger
+        The acceleration has the favourable sign. If the ratio is above 1, the limit is violated at v and at any larger
         speed.
         """
         bend = np.abs(curvature) if self.order == 1 else 2.0 * v * np.abs(curvature)

@@ -1,6 +1,6 @@
-"""The windowed method: constant limits in windows in which they vary little, one ruckig motion per window.
+"""The windowed method: constant limits in windows where the limits vary little, with one ruckig motion per window.
 
-The method is simple and keeps every limit by construction: a window uses the strictest value of every limit, the
+The method is simple and satisfies every limit by construction. Each window uses the strictest value of every limit, the
 acceleration is zero at every window boundary, and the speeds there can be reached in the windows on both sides.
 """
 
@@ -44,7 +44,10 @@ class WindowedParameters(PluginParameters):
 
 
 class Windowed(SegmentTimeParameterizer):
-    """Time laws from constant limits in windows; robust, but 3 % (easy paths) to 17 % slower than the optimum."""
+    """Compute time laws from constant limits in windows.
+
+    The method is robust, but its motions are 3 % (easy paths) to 17 % slower than the optimum.
+    """
 
     Parameters = WindowedParameters
     parameters: WindowedParameters
@@ -118,7 +121,7 @@ def _windows(limits: PathLimits, settings: WindowedParameters, deadline: Deadlin
 
 
 def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedParameters, deadline: Deadline) -> list[int]:
-    """Return the indices of the nodes between windows, by the ratio of the caps, the length and the zone."""
+    """Return the indices of the nodes between windows, determined by the ratio of the caps, the length and the zone."""
     zone = int(np.searchsorted(limits.s, limits.zone_start - 1e-12)) if limits.has_zone else -1
     cuts, low, high, begin = [0], math.inf, 0.0, 0.0
     longest = settings.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the boundaries

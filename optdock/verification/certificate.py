@@ -29,8 +29,8 @@ Value = TypeVar("Value")
 class Memo(Generic[Subject, Value]):
     """Cache of one value for every living subject, keyed by the identity and not by the equality of subjects.
 
-    The verdict on frozen inputs never changes, so a proof is made only once. Verdicts are stored in the cache and not
-    in the subject, so a caller cannot supply a verdict.
+    The verdict on immutable inputs never changes, so a proof is computed only once. Verdicts are stored in the cache
+    and not in the subject, so a caller cannot supply a verdict.
     """
 
     def __init__(self) -> None:
@@ -103,20 +103,20 @@ class Certificate(_Verdict):
             obstacles. If poses violate the rule, the value is the smallest clearance found.
         required_clearance: Required clearance at the position of `min_clearance` [m].
         at_s: Arc length of `min_clearance` [m].
-        margin: Proven lower bound of clearance minus required clearance on the whole path [m]. Unlike `min_clearance`
-            it is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, the value
-            is the lowest value found.
+        margin: Proven lower bound of clearance minus required clearance on the whole path [m]. Unlike `min_clearance`,
+            the bound is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, the
+            value is the lowest value found.
         nearest: Name of the obstacle at `min_clearance`; empty without obstacles.
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
         length: Driven distance [m].
         poses_checked: Number of poses that the proof evaluated.
-        problem: Digests of the problem; a certificate is valid for no other problem.
+        problem: Digests of the problem; the certificate is valid only for this problem.
         path: Digest of the path.
         start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
-            distance from the start; otherwise the distance from the start within which the weaker rule allows the start
-            clearance [m]. The weaker rule is used only if the strict rule is violated.
-        tube: Largest displacement of a footprint point from its planned position for which the robot keeps its
+            distance from the start; otherwise the distance [m] from the start within which the weaker rule permits the
+            start clearance. The weaker rule is used only if the strict rule is violated.
+        tube: Largest displacement of a footprint point from its planned position at which the robot has the required
             clearance [m]. It tapers at the dock like the clearance and is included in `required_clearance` (see
             `TrackingTube`).
         view_margin: Proven lower bound of the margin of the dock's marker in the camera's view, where it must be

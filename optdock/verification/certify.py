@@ -54,8 +54,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     For a robot that starts closer to an obstacle than required, the clearance must grow with a minimum slope. If only
     this rule is violated, the weaker rule for a robot alongside a wall applies (see `Certificate.start_relief`).
 
-    A complete proof is cached for the lifetime of the path. An interrupted proof is reused only if it is certified and
-    the caller has a deadline. The time law is not considered: see `certify_trajectory`.
+    A complete proof is cached for the lifetime of the path. An interrupted proof is reused only if it certified the
+    path and the caller has a deadline. The time law is not considered: see `certify_trajectory`.
 
     Args:
         path: The path to certify; it may come from any source.
@@ -98,9 +98,9 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
 
 
 def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool:
-    """Whether the start is too close and the weaker rule allows every pose that violates the strict rule.
+    """Whether the start is too close and the weaker rule permits every pose that violates the strict rule.
 
-    Otherwise a second proof with the weaker rule is certain to fail and is omitted.
+    If the result is False, a second proof with the weaker rule would certainly fail and is omitted.
     """
     clearance, rule = end_clearances(problem).start, problem.path_clearance
     if clearance >= rule.required:
@@ -148,7 +148,7 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
     """Prove that a trajectory satisfies every motion limit, or return the violations.
 
     Within a step of a polyline, whose curvature is a difference quotient, limits on turning may be exceeded by 5 %. If
-    wheels must be steered between two segments or at the start, the motion must rest while they turn.
+    wheels must be steered between two segments or at the start, the robot must be at rest meanwhile.
 
     A complete proof is cached for the lifetime of the time law, as in `certify_path`. Clearance and the curvature
     limits of the path are not considered: see `certify_path`.
@@ -159,7 +159,7 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
         zone: Speed zone at the end of the path.
         start_speed: Required initial speed along the travel [m/s]; not checked if None.
         start_acceleration: Required initial acceleration along the travel [m/s^2]; not checked if None.
-        start_wait: Required duration of the rest at the start, in which the wheels are steered [s].
+        start_wait: Required duration [s] of the rest at the start, in which the wheels are steered.
         is_late: Polled every few milliseconds. Once it is True, everything not yet proven is `unproven`.
 
     Returns:
@@ -184,8 +184,9 @@ def certify_motion(
 ) -> TrajectoryCertificate:
     """Prove that a trajectory satisfies the motion limits of `problem` and begins in the state of the robot.
 
-    Without `start_curvature` the angle of steered wheels at the start is unknown: the motion must rest until the wheels
-    are steered from the farthest angle (`DockingProblem.start_wait`); otherwise the motion violates the rule `rest`.
+    If `start_curvature` is None, the angle of steered wheels at the start is unknown. The robot must then be at rest
+    until the wheels have been steered from the farthest angle (`DockingProblem.start_wait`); otherwise the motion
+    violates the rule `rest`.
 
     Args:
         trajectory: The motion to certify.

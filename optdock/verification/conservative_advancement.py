@@ -1,12 +1,12 @@
-"""Conservative advancement [Mirtich1996] of second order: the proof of clearance for every point of a path.
+"""Second-order conservative advancement [Mirtich1996]: the proof of clearance for every point of a path.
 
 The axis that attains the exact distance at a pose gives a lower bound of the distance along the motion near this pose
 (equation C5 of docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if the advance from
-its first pose clears the first half, and the advance back from its last pose clears the last half. Other cells are
-bisected until they are cleared, contain a pose that violates the rule, or are given up, which counts as a violation.
-The reported minimum is found by branch and bound: cells whose lower bound is well below the smallest clearance of the
-poses so far are bisected further. Cells that are cleared only within the tolerance are checked a second time for deep
-overlaps (`contact_tolerance`).
+its first pose clears the first half, and the advance backwards from its last pose clears the second half. Other cells
+are bisected until they are cleared, contain a pose that violates the rule, or are given up; a cell that is given up
+counts as a violation. The reported minimum is found by branch and bound: cells whose lower bound is well below the
+smallest clearance of the poses so far are bisected further. Cells that are cleared only within the tolerance are
+checked a second time for deep overlaps (`contact_tolerance`).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class _Round(NamedTuple):
     attained: float
 
     def settled(self, keep: BoolArray | IntArray) -> FloatArray:
-        """Return bound, arc length, required clearance and obstacle row of the cells at `keep`, Shape (n, 4)."""
+        """Return bound, arc length, required clearance and obstacle row of the cells in `keep`, Shape (n, 4)."""
         table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
         return table
 
@@ -120,7 +120,8 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
         obstacles: The obstacles; None for all obstacles of the problem.
         begun: Beginning of the drive if `path` is the rest of a longer path, whose clearance rule then applies; None
             for the start of the problem.
-        sharp: Whether `proven` is the smallest clearance up to `SHARPNESS`, or any bound that satisfies the rule.
+        sharp: Whether `proven` must be the smallest clearance up to `SHARPNESS`; otherwise any bound that satisfies the
+            rule suffices.
     """
     footprint = problem.robot.footprint
     obstacles = problem.all_obstacles if obstacles is None else obstacles
@@ -184,7 +185,7 @@ class _Subdivision:
         motion: The path as cells.
         world: Robot, obstacles and rule.
         attained: Smallest known clearance of a pose on the path [m].
-        crop: Distance from the swept area beyond which obstacles are left out [m].
+        crop: Distance from the swept area beyond which obstacles are ignored [m].
         is_late: See `prove_clearance`.
     """
 
@@ -254,7 +255,7 @@ class _Subdivision:
     def _apart(
         self, bodies: tuple[BoundedBody, ...], rocks: ObstacleSet, cells: Cells
     ) -> tuple[FloatArray, FloatArray]:
-        """Prove that bodies and obstacles share no interior in any of the cells."""
+        """Prove that the interiors of bodies and obstacles do not intersect in any of the cells."""
         level, budget = 0, self.poses + _MAX_POSES
         while True:
             ends, nodes = self._ends(cells)
@@ -350,7 +351,7 @@ class _Subdivision:
 
 
 def _unknown(s: FloatArray) -> FloatArray:
-    """Return rows of cells without any known bound, in the form of `_Round.settled`."""
+    """Return rows of cells for which no bound is known, in the form of `_Round.settled`."""
     return np.column_stack((np.full(s.size, -np.inf), s, 0.0 * s, 0.0 * s))
 
 
@@ -380,7 +381,7 @@ class Advances(NamedTuple):
     twist: FloatArray
 
     def rows(self, keep: slice) -> tuple[Advances, IntArray]:
-        """Return the stretches at `keep`, and the rows of the poses that they use."""
+        """Return the stretches selected by `keep`, and the rows of their poses."""
         used, pose = np.unique(self.pose[keep], return_inverse=True)
         return Advances(self.poses[used], pose, *(column[keep] for column in self[2:])), used
 
@@ -422,7 +423,7 @@ def advance_bounds(
         bodies: At least one convex body; all bodies move together.
         advances: The stretches.
         obstacles: At least one.
-        exact_within: Shape (n,) [m]: pairs that may come closer than this are left to the narrow phase; the broad phase
+        exact_within: Shape (n,) [m]: the narrow phase evaluates pairs that may come closer than this; the broad phase
             bounds the others.
         is_late: Polled between blocks of a few milliseconds. Once it is True, the remaining bounds are -inf.
     """

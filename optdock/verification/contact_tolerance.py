@@ -2,8 +2,8 @@
 
 If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, because their
 intersection then lies within t of the outline of either piece. But a footprint that is not convex, and obstacles that
-touch each other, are unions of adjacent pieces: a needle between two touching boxes may enter each box by only t, but
-their union to any depth.
+touch each other, are unions of adjacent pieces. A needle between two touching boxes may overlap each box by only t, but
+penetrate their union to any depth.
 
 Therefore the *core* of a union must not overlap the other shape at all (equation C9 of docs/theory/certificate.md). The
 core consists of the points that are at least d = 2 micrometres inside the union, where gaps between obstacles below 0.2
@@ -44,7 +44,7 @@ _ARC = 4  # segments of a quarter circle
 def deep_pairs(
     footprint: Footprint, obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray
 ) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
-    """Return bodies, and the obstacles that they must not overlap at all, in a box with corners of Shape (2,) [m].
+    """Return bodies with the obstacles that they must not overlap at all, in a box with corners of Shape (2,) [m].
 
     If the footprint is not convex, one pair is the core of the footprint and the obstacles. If obstacles touch each
     other, one pair is the footprint and the core of the obstacles.

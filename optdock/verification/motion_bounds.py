@@ -39,7 +39,7 @@ class Cells(NamedTuple):
         return Cells(np.tile(self.segment, parts), first.ravel(), last.ravel())
 
     def last_halved(self) -> Cells:
-        """Return the cells with the last one halved."""
+        """Return the cells, with the last cell divided into two halves."""
         last = self.rows(np.array([-1])).cut(2)
         return Cells(
             np.append(self.segment, last.segment[1:]),
@@ -67,7 +67,7 @@ class Cells(NamedTuple):
             yield self.rows(slice(start, start + most))
 
     def rows(self, keep: FloatArray | IntArray | slice) -> Cells:
-        """Return the cells at `keep`."""
+        """Return the cells selected by `keep`."""
         return Cells(self.segment[keep], self.first[keep], self.last[keep])
 
 

@@ -1,4 +1,4 @@
-"""The rules of a path other than clearance: frame, ends, joints, gears, curvature, final straight."""
+"""The rules for a path other than clearance: frame, ends, joints, gears, curvature, final straight."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """Check that the sum of all jumps is within the tolerance; many small jumps are equivalent to a large one."""
+    """Check that the sum of all jumps is within the tolerance; many small jumps are equivalent to a large jump."""
     total = 0.0
     for i, s in enumerate(path.cusps):
         before, after = path.segments[i], path.segments[i + 1]
@@ -214,7 +214,7 @@ def _curvature_changes(steps: _Steps) -> FloatArray:
 
 
 def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """Check that steps too short for a direction, and turns too small to count, do not add up to a motion."""
+    """Check that steps too short to have a direction, and turns below the tolerance, do not add up to a motion."""
     moved = turned = 0.0
     for _, steps in _polylines(path):
         still = steps.arc <= 0.0
@@ -226,7 +226,7 @@ def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
 
 
 def _winding(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Check that the direction of motion of a polyline turns no faster than its heading may, up to rounding."""
+    """Check that a polyline's direction of motion turns no faster than its heading is allowed to, up to rounding."""
     limit = problem.robot.limits.max_curvature
     for _, steps in _polylines(path) if np.isfinite(limit) else ():
         moving = steps.moving()

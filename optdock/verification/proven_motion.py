@@ -1,8 +1,8 @@
-"""Proven motions: path, time law, problem and pose of the robot, tied together by their proofs.
+"""Proven motions: path, time law, problem and pose of the robot, connected by their proofs.
 
 Certificates are plain values that any program can create. The library acts only on `ProvenMotion` and `ProvenWay`
 objects, which only the functions of this module can create. Such an object has no attributes. Its content is looked up
-in the table of proofs made by this module, so a forged or modified object has no content.
+in the table of proofs made by this module, so forged or modified objects have no content.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class _Proven(Generic[Content]):
 
 @final
 class ProvenMotion(_Proven[_Motion]):
-    """A motion that is proven for a problem: its path, its time law, and its initial state.
+    """A motion certified for a problem, with its path, its time law, and its initial state.
 
     It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
     robot afterwards. Only `prove_motion` creates such objects. Pickles are trusted, because unpickling can execute
@@ -156,7 +156,7 @@ class ProvenWay(_Proven[_Way]):
 
     @property
     def path(self) -> Path:
-        """The path."""
+        """The path with proven clearance."""
         return self._content.path
 
     @property
@@ -176,12 +176,12 @@ _PROVEN_FOR: Memo[Trajectory, ProblemFingerprint] = Memo()
 def prove_motion(
     trajectory: Trajectory, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late
 ) -> ProvenMotion:
-    """Prove that a trajectory solves a problem: its path by `certify_path`, its time law by `certify_motion`.
+    """Certify a trajectory for a problem: its path by `certify_path`, and its time law by `certify_motion`.
 
     Earlier proofs of the same path, time law and problem are reused.
 
     Args:
-        trajectory: The motion to prove, from any source.
+        trajectory: The motion to certify, from any source.
         problem: The problem.
         is_late: As for `certify_path` and `certify_trajectory`.
 
@@ -235,8 +235,9 @@ def prove_way(
 
     A robot next to the path, with its outline displaced by e, is controlled back to the path. If e is within the tube
     around the path, the clearance of the tube covers the displacement. Otherwise every pose displaced by at most e must
-    keep `problem.clearance`, so the path is proven with e of additional clearance. The station is exempt if the robot
-    counts as docked at this displacement, because the robot ends in contact with the station.
+    satisfy `problem.clearance`, so the clearance of the path is proven with an additional distance e. The station is
+    exempt from the additional distance if the robot counts as docked at this displacement, because the robot ends in
+    contact with the station.
 
     Args:
         path: The path, driven from its start.
@@ -289,7 +290,7 @@ def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float)
 def _not_clear_by(
     more: float, path: Path, problem: DockingProblem, begun: Begun, relief: float, *, spares_station: bool
 ) -> str:
-    """Apply `_not_clear` with `more` clearance [m]; an exempt station is checked without the increase."""
+    """Apply `_not_clear` with the clearance increased by `more` [m], except for an exempt station."""
     dock, robot = problem.dock, replace(problem.robot, tracking=TrackingTube())
     raised = replace(
         problem,
@@ -306,7 +307,7 @@ def _not_clear_by(
 
 
 def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | None:
-    """Return the remaining path of a robot at the beginning of a proven motion, or None outside the tube.
+    """Return the remaining path of a robot at the beginning of a proven motion, or None if it is outside the tube.
 
     Args:
         motion: The motion, driven from its start.
@@ -322,10 +323,10 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
-    """Return a stretch of a proven path if its proof trivially holds for a different problem, otherwise None.
+    """Return a stretch of a proven path if its proof remains valid for a different problem, otherwise None.
 
-    The proof holds if only the dock differs and both docks are so far from the stretch that neither the taper of the
-    clearance nor the station reaches it.
+    The proof remains valid if only the dock differs and both docks are so far away that neither the taper of the
+    clearance nor the station reaches the stretch.
 
     Args:
         motion: The current motion.

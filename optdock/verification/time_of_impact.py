@@ -1,4 +1,4 @@
-"""Time of impact: how long a footprint can move at a constant body velocity before it is too close to an obstacle.
+"""Time of impact: the time after which a footprint at constant body velocity is too close to an obstacle.
 
 Between two evaluations of the scene the bound of `conservative_advancement` holds: along the axis n that attains the
 distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and M
@@ -6,7 +6,7 @@ distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a 
 step.
 
 If pieces may touch, their unions are checked as in `contact_tolerance`: a needle between two adjacent obstacles, or a
-post in a fan of thin pieces, must not enter deeper than 3 micrometres.
+post in a fan of thin pieces, must not penetrate them by more than 3 micrometres.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
     clearance: float = 0.0,
     overlap: float = _SHALLOW,
 ) -> Sweep:
-    """Return the duration for which the footprint keeps its clearance from every obstacle along the continuous motion.
+    """Return the duration for which the footprint has the required clearance along the continuous motion.
 
     If an obstacle is closer than `clearance` at the start, or overlaps by up to `overlap`, the motion is only required
     not to come closer, so that a robot can leave its dock. With a deeper overlap the duration is 0.
@@ -99,7 +99,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
 
 
 class _Group(NamedTuple):
-    """Bodies that move as one, their obstacles, and the distance to keep from each obstacle, Shape (m,) [m]."""
+    """Bodies that move together, their obstacles, and the required distance from each obstacle, Shape (m,) [m]."""
 
     bodies: tuple[ConvexBody, ...]
     scene: ObstacleSet
@@ -107,7 +107,7 @@ class _Group(NamedTuple):
 
 
 def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:
-    """Return the duration for which every group keeps its distances, at most `duration` [s], and the final pose."""
+    """Return how long [s] every group has the required distances, at most `duration` [s], and the final pose."""
     time = 0.0
     for _ in range(_MOST_STEPS):
         step = min(
@@ -132,7 +132,7 @@ def _distances(bodies: tuple[ConvexBody, ...], scene: ObstacleSet, pose: Pose2) 
 
 
 def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2, required: FloatArray) -> FloatArray:
-    """Return for every obstacle the longest step that provably keeps the required distance, Shape (m,) [s]."""
+    """Return for every obstacle the longest step for which the required distance is proven. Shape (m,) [s]."""
     poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
     found = separation(body, poses, scene.pieces(np.arange(len(scene))))
     points = transform_points(poses[:1], body.vertices)[0]  # (k, 2)

@@ -1,13 +1,13 @@
-"""The rules of a trajectory: coverage of the path, rests, and motion limits.
+"""The rules for a trajectory: coverage of the path, rests, and motion limits.
 
 Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law, so their extremes are
 exact. The limits that depend on curvature are proven by `turning_rules`.
 
-At jumps of the curvature between two segments the wheels turn at rest, and the rest must be long enough; the same
-applies to a start with unknown steering angle.
+At a jump of the curvature between two segments, the wheels are steered at rest, and the rest must be long enough. The
+same applies to a start with an unknown steering angle.
 
 A turn in place is driven over the path coordinate, so its yaw rate, yaw acceleration and yaw jerk are the speed,
-acceleration and jerk of the time law. Their extremes are therefore exact, and they have their own limits
+acceleration and jerk of the time law. Their extremes are therefore exact, and separate limits apply
 (`MotionLimits.turning`). The phases of a turn lie between the rests at its ends.
 
 A finite limit without a rule here or in the path certificate is a violation, so that a new field of `MotionLimits`
@@ -125,7 +125,7 @@ def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
 
 
 def _turns_in_place(path: Path) -> Iterator[Violation]:
-    """Check for steps of a polyline that change only the yaw, to which a time law over distance gives no duration."""
+    """Check for steps of a polyline that change only the yaw; a time law over distance gives them no duration."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, PolylineSegment):
             still = np.flatnonzero(~np.isfinite(segment.step_curvature))
@@ -204,7 +204,7 @@ class _Peak(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Value over limit."""
+        """Ratio of the value to the limit."""
         return self.value / self.limit
 
 
@@ -224,8 +224,9 @@ class _Wait(NamedTuple):
 def _waits(trajectory: Trajectory, limits: MotionLimits, start_wait: float) -> list[_Wait]:
     """Return the rests at the start and at cusps for which steering takes longer than the tolerance.
 
-    A phase between two borders at rest is entirely at rest, because its linear acceleration is zero at both ends. Cusps
-    that share a border share the phases at rest there, so their required durations are added.
+    A phase between two borders at rest is entirely at rest, because its linear acceleration is zero at both ends. If
+    several cusps share a border, they also share the phases at rest at this border, so their required durations are
+    added.
     """
     law, path = trajectory.time_law, trajectory.path
     cusps = path.cusps if limits.max_steering_rate < np.inf else ()
@@ -278,7 +279,7 @@ def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatA
 
 
 def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found: _Extremes) -> Iterator[_Peak]:
-    """Yield the largest speed of every stretch; `entries` alternates between arrivals at its begin and its end."""
+    """Yield the largest speed of every stretch; `entries` alternates between arrivals at its beginning and its end."""
     entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
     for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
         inside = (found.s >= begin) & (found.s <= end)
@@ -289,7 +290,7 @@ def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found
 
 
 class _Phases(NamedTuple):
-    """Some phases of a time law and their borders: indices, jerks of the phases, accelerations at the borders."""
+    """Selected phases of a time law and their borders: indices, jerks of the phases, accelerations at the borders."""
 
     inside: IntArray
     borders: IntArray

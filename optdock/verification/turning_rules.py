@@ -1,18 +1,19 @@
 """The limits that depend on curvature, proven over the whole motion by subdivision.
 
 Within a cell (no phase border, no knot of the path inside) jerk and curvature rate are constant, so every limited
-quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table there lists f and the bounds of f''.
-Cells that the bound does not clear are bisected.
+quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table on that page lists f and the bounds of
+f''. Cells in which the bound does not prove the limit are bisected.
 
 Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
 or a long path does not reduce the precision. The cells of a phase extend from event to event: the start of the phase,
 the knots of the path, and the points of a grid. Each cell has the phase and the piece of the path at its first event;
 of simultaneous events the last is used. Every piece of the path has a cell, and even a cell of width zero is checked at
-its first instant. A jump of curvature within less than the resolution of time is therefore included with its rate.
+its first instant. A change of curvature over a time shorter than the resolution of floating-point time is therefore
+checked too, with its curvature rate.
 
 A polyline is evaluated three times: with the interpolated curvature between its poses, with the curvature of its steps,
-and with the rate at which the curvature oscillates from step to step, which is not visible in the mean curvatures at
-the poses.
+and with the rate at which the curvature oscillates from step to step. The mean curvatures at the poses do not show this
+oscillation.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class Instants(NamedTuple):
         return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
 
     def rows(self, keep: slice) -> Instants:
-        """Return the instants at `keep`."""
+        """Return the instants selected by `keep`."""
         return Instants(self.phase[keep], self.since[keep])
 
     def times(self, law: TimeLaw) -> FloatArray:
@@ -139,7 +140,7 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
 class Cells(NamedTuple):
     """Motion at the first instant of each cell, Shape (n,) each; r, j, and the bounds of k are constant within a cell.
 
-    `t`: time since the start of the motion, for messages [s]; `low`, `high`: range of the curvature of the piece of the
+    `t`: time since the start of the motion, for messages [s]; `low`, `high`: range of the curvature on the piece of the
     path.
     """
 
@@ -161,7 +162,7 @@ class Cells(NamedTuple):
         return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
 
     def rows(self, keep: IntArray | slice) -> Cells:
-        """Return the cells at `keep`."""
+        """Return the cells selected by `keep`."""
         return Cells(*(column[keep] for column in self))
 
     def and_also(self, more: Cells) -> Cells:

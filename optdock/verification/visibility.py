@@ -42,8 +42,8 @@ class ViewProof(NamedTuple):
 
     Attributes:
         margin: Proven lower bound of the margin of the marker in the view on the stretch [m]; not sharp, because cells
-            are bisected only until they are proven. If poses violate the rule, it is the smallest margin found; if no
-            view is required, it is inf.
+            are bisected only until they are proven. If poses violate the rule, the value is the smallest margin found;
+            if no view is required, the value is inf.
         violations: The worst violating pose, or the worst cell given up; empty if the proof holds.
     """
 
@@ -93,7 +93,7 @@ def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] 
 
 
 def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
-    """Return cells of the motion that cover exactly a stretch of the path."""
+    """Return cells of the motion that exactly cover a stretch of the path."""
     path, (begin, end) = motion.path, stretch
     cells = motion.cells(max(_MAX_STEP, path.length / _MOST_FIRST))
     first, last = cells.first.copy(), cells.last.copy()

@@ -1,1 +1,1 @@
-"""Nav2's geometric smoothers, as baselines and for old parameter files; they are not part of the certified method."""
+"""Nav2's geometric smoothers, for comparison and for old parameter files; the certified method does not use them."""

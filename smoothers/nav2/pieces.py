@@ -63,7 +63,8 @@ def poses_of(path: Path) -> FloatArray:
 def path_of(poses: FloatArray, like: Path) -> Path:
     """Return smoothed poses as a path with the frame and the first pose of `like`.
 
-    The gears are determined from the headings along the travel; afterwards the heading of the start is restored.
+    The gears are determined from the headings and the directions of travel; afterwards the heading of the start pose is
+    restored.
 
     Args:
         poses: Shape (n, 3), with headings from `with_travel_yaw`.
@@ -83,8 +84,8 @@ def path_of(poses: FloatArray, like: Path) -> Path:
 def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
     """Return the first and last index of every piece between cusps and turns in place; adjacent pieces share an index.
 
-    At a cusp consecutive steps of `poses`, Shape (n, 3), have opposite directions; a turn in place is a step without
-    motion but with a change of yaw.
+    At a cusp consecutive steps of `poses`, Shape (n, 3), have opposite directions; a turn in place is a step that
+    changes the yaw but not the position.
     """
     step = np.diff(poses[:, :2], axis=0)
     reverses = np.sum(step[:-1] * step[1:], axis=1) < 0.0
@@ -95,10 +96,10 @@ def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
 
 
 def with_travel_yaw(poses: FloatArray) -> FloatArray:
-    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step (opposite in reverse), except the last.
+    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step, or against it in reverse, except the last yaw.
 
-    A piece is in reverse if the heading of the second pose is more than 90 degrees from its step. A pose without a step
-    of at least 0.1 mm keeps its yaw.
+    A piece is in reverse if the heading of the second pose is more than 90 degrees from its step. A pose whose step is
+    shorter than 0.1 mm keeps its yaw.
     """
     step = np.diff(poses[:, :2], axis=0)
     travel = np.arctan2(step[:, 1], step[:, 0])
@@ -160,7 +161,7 @@ class PieceParameters(PluginParameters):
 
 
 class PieceEnd(str, Enum):
-    """Reason for which the smoothing of a piece ended."""
+    """Reason why the smoothing of a piece ended."""
 
     STILL = "tolerance"
     OBSTACLE = "obstacle"
@@ -171,7 +172,7 @@ class PieceEnd(str, Enum):
 
 @dataclass
 class PieceRun:
-    """One call of `smooth`: its limits, the number of finished steps, and the reason for which each piece ended."""
+    """One call of `smooth`: its limits, the number of finished steps, and the reason why each piece ended."""
 
     deadline: Deadline
     costmap: Costmap | None
@@ -193,17 +194,17 @@ class PieceRun:
 class PieceSmoother(Smoother):
     """Base of smoothers that move the inner points of each piece between cusps.
 
-    Yaws are set to the directions of travel. Start and goal keep their yaw (Nav2 turns the start), so a path may begin
-    and end with a kink. A piece whose smoothed poses would bring the footprint into an obstacle that it did not touch
-    before is left unchanged, unless `check_for_collisions` is off; the motion between poses is not checked. `completed`
-    is False if the time limit stopped the work.
+    Yaws are set to the directions of travel. Start and goal keep their yaw (Nav2 changes the yaw of the start), so a
+    path may begin and end with a kink. A piece whose smoothed poses would bring the footprint into an obstacle that it
+    did not touch before is left unchanged, unless `check_for_collisions` is off; the motion between poses is not
+    checked. `completed` is False if the time limit stopped the work.
     """
 
     parameters: PieceParameters
 
     @abstractmethod
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return the smoothed poses of a piece, Shape (n, 3), and the reason for the end; None if left unchanged."""
+        """Return the smoothed poses of a piece, Shape (n, 3), and the reason for the end, or None if left unchanged."""
 
     @abstractmethod
     def report(self, run: PieceRun) -> SmoothingReport:

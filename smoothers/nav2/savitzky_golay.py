@@ -23,7 +23,7 @@ _SPARE_POSES = 2  # pieces with at most the window and these poses are left unch
 
 
 class SavitzkyGolayParameters(PieceParameters):
-    """Nav2's names and defaults."""
+    """Parameters of `SavitzkyGolaySmoother`, with Nav2's names and defaults."""
 
     window_size: int = Field(7, ge=3, description="points of a fit, odd")
     poly_order: int = Field(3, ge=0, description="degree of the polynomial, less than the window size")
@@ -38,7 +38,7 @@ class SavitzkyGolayParameters(PieceParameters):
 
 
 def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
-    """Return the weights of the points that give the value, at the middle point, of a polynomial fitted to all points.
+    """Return the weights of the points whose sum is the value of the fitted polynomial at the middle point.
 
     With V_ij = i^j for i = -m..m, the weights are the first row of the pseudo-inverse of V ([Savitzky1964]).
 
@@ -59,10 +59,10 @@ def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
 
 
 class SavitzkyGolaySmoother(PieceSmoother):
-    """Polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
+    """Smooth a path by polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
 
     Each piece between cusps is filtered separately, with its end poses repeated beyond the ends and its end points
-    fixed. The time limit is checked before every piece, which takes microseconds to filter. See `PieceSmoother` for
+    fixed. The time limit is checked before every piece; filtering a piece takes microseconds. See `PieceSmoother` for
     yaws and collisions.
     """
 
@@ -70,7 +70,7 @@ class SavitzkyGolaySmoother(PieceSmoother):
     parameters: SavitzkyGolayParameters
 
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return a piece after all passes, Shape (n, 3)."""
+        """Return the smoothed piece after all passes of the filter, Shape (n, 3)."""
         p = self.parameters
         if len(poses) - 1 <= p.window_size + _SPARE_POSES:
             return None
@@ -83,7 +83,7 @@ class SavitzkyGolaySmoother(PieceSmoother):
         return with_travel_yaw(np.column_stack((points, poses[:, 2]))), PieceEnd.STILL
 
     def report(self, run: PieceRun) -> SmoothingReport:
-        """Return the numbers of filtered `pieces`, and of pieces `kept` unchanged because they would have collided."""
+        """Return the number of filtered pieces, and of pieces left unchanged to avoid a collision (`kept`)."""
         extra = {"pieces": run.steps, "kept": run.ends.count(PieceEnd.COLLISION)}
         return SmoothingReport(total_s=run.deadline.elapsed, extra=extra)
 

@@ -1,7 +1,7 @@
 """Nav2's SimpleSmoother: every point is moved towards the middle of its neighbours and towards its original position.
 
-It serves as a baseline and supports old parameter files. The curvature is not bounded, and obstacles only stop the
-sweeps.
+It serves as a baseline and supports old parameter files. The curvature is not bounded. Obstacles do not deform the
+path; they only end the sweeps.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _UNTOUCHED_POSES = 4  # pieces of at most so many poses are left unchanged
 
 
 class SimpleParameters(PieceParameters):
-    """Nav2's names and defaults."""
+    """Parameters of `SimpleSmoother`, with Nav2's names and defaults."""
 
     tolerance: float = Field(1e-10, gt=0.0, description="sum of |change| of a sweep below which the sweeps end [m]")
     max_its: int = Field(1000, ge=1, description="sweeps")
@@ -45,11 +45,11 @@ class SimpleParameters(PieceParameters):
 
 
 class _Sweep:
-    """One Gauss-Seidel sweep over all points at once.
+    """One Gauss-Seidel sweep over all points, computed as the solution of one linear system.
 
     The new point i satisfies `new_i - w_smooth new_(i-1) = w_data original_i + (1 - w_data - 2 w_smooth) old_i +
-    w_smooth old_(i+1)`: a bidiagonal system. Its solution by forward substitution differs from a loop over the points
-    only by rounding.
+    w_smooth old_(i+1)`, which is a bidiagonal system. Its solution by forward substitution differs from a loop over the
+    points only by rounding.
     """
 
     def __init__(self, original: FloatArray, w_data: float, w_smooth: float) -> None:
@@ -69,13 +69,13 @@ class _Sweep:
 
 
 class SimpleSmoother(PieceSmoother):
-    """Gauss-Seidel sweeps over the points of a path, as in `nav2_smoother::SimpleSmoother`.
+    """Smooth a path by Gauss-Seidel sweeps over its points, as in `nav2_smoother::SimpleSmoother`.
 
-    A sweep moves each inner point, in order, by `w_data (original - current) + w_smooth (next + previous - 2 current)`
-    until the sum of the changes of a sweep is less than `tolerance`. A sweep that moves a point into an occupied cell
-    is undone and is the last one; without a costmap there is no such check. Each piece between cusps is smoothed
-    separately, with fixed end points. The time limit is checked before every sweep. See `PieceSmoother` for yaws and
-    collisions.
+    Each sweep moves the inner points, in order, by `w_data (original - current) + w_smooth (next + previous - 2
+    current)`. The sweeps end when the sum of the changes in one sweep is less than `tolerance`. A sweep that moves a
+    point into an occupied cell is undone, and no further sweep follows; without a costmap, this is not checked. Each
+    piece between cusps is smoothed separately, with fixed end points. The time limit is checked before every sweep. See
+    `PieceSmoother` for yaws and collisions.
     """
 
     Parameters = SimpleParameters
@@ -93,12 +93,12 @@ class SimpleSmoother(PieceSmoother):
         return with_travel_yaw(np.column_stack((points, poses[:, 2]))), end
 
     def report(self, run: PieceRun) -> SmoothingReport:
-        """Return the number of sweeps, and in `extra` the reason for which every piece ended (`ended_by`)."""
+        """Return the number of sweeps, and in `extra` the reason why each piece ended (`ended_by`)."""
         extra = {"ended_by": tuple(end.value for end in run.ends)}
         return SmoothingReport(iterations=run.steps, total_s=run.deadline.elapsed, extra=extra)
 
     def _sweep_until_still(self, original: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd]:
-        """Return the points after complete sweeps, Shape (n, 2) [m], and the reason for which the sweeps ended."""
+        """Return the points after complete sweeps, Shape (n, 2) [m], and the reason why the sweeps ended."""
         sweep = _Sweep(original, self.parameters.w_data, self.parameters.w_smooth)
         points = original
         for _ in range(1, self.parameters.max_its):

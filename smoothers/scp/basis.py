@@ -29,7 +29,10 @@ _GAUSS = readonly(np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)])
 
 @dataclass(frozen=True, eq=False)
 class Basis(FrozenArrays):
-    """Arrays that depend only on the shape. Nodes are interval ends; a cusp is a node of both of its gears."""
+    """Arrays that depend only on the numbers of spans and intervals.
+
+    Nodes are interval ends; a cusp is a node of both of its gears.
+    """
 
     shape: Shape  # per gear: knot spans and intervals per span
     num_knots: int  # totals over all gears
@@ -118,7 +121,7 @@ def _hat_integrals(spans: int, u: FloatArray) -> FloatArray:
 
 
 def _heading_rows(spans: IntArray, points: list[FloatArray]) -> FloatArray:
-    """Return heading changes per unit of (gear length * knot curvature); later gears include all earlier gears."""
+    """Return heading changes per unit of (gear length * knot curvature), summed over the preceding gears."""
     rows = []
     for m, u in enumerate(points):
         done = [np.tile(_hat_integrals(q, np.ones(1)), (u.size, 1)) for q in spans[:m]]

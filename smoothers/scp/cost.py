@@ -54,7 +54,7 @@ class Quadratic(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CostModel:
-    """The cost of one problem."""
+    """Cost function of one smoothing problem."""
 
     basis: Basis
     weights: Weights  # weights of the terms
@@ -67,7 +67,7 @@ class CostModel:
 
     @cached_property
     def _stiffness(self) -> FloatArray:
-        """Integrals over u of products of the slopes of hat functions, weighted by `easing`."""
+        """Return the integrals over u of products of the slopes of hat functions, weighted by `easing`."""
         basis = self.basis
         if self.easing is None:
             return basis.stiffness
@@ -78,7 +78,7 @@ class CostModel:
 
     @cached_property
     def _turned(self) -> FloatArray:
-        """Weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
+        """Return weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
         basis = self.basis
         rows = np.zeros((basis.num_gears - 1, basis.num_knots))
         cusps = np.arange(basis.num_gears - 1)
@@ -88,7 +88,7 @@ class CostModel:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Weights of the integrals of curvature^2 and of curvature rate^2."""
+        """Weights of the integrals of squared curvature and squared curvature rate."""
         return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
 
     def _lateral(self, rollout: Rollout) -> FloatArray:
@@ -96,7 +96,7 @@ class CostModel:
         return away[:, 0] * self.reference.normals[:, 0] + away[:, 1] * self.reference.normals[:, 1]
 
     def value(self, variables: Variables, rollout: Rollout) -> float:
-        """Return J."""
+        """Return the cost J of given variables."""
         curvature, lengths = variables
         bend, jerk = self.factors
         per_knot = lengths[self.basis.knot_gear]

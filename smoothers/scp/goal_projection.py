@@ -162,7 +162,7 @@ def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> 
 
 
 def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float) -> Path:
-    """Return the path of clothoid splines with the final straight, closed onto the goal to rounding (S20)."""
+    """Return the path of clothoid splines and the final straight, whose end is the goal except for rounding (S20)."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     target = ends.target
     back = float(ends.signs[-1]) * final_straight
@@ -186,13 +186,13 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
 
 
 def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: float = 0.0) -> Path:
-    """Return the path of clothoid splines and a straight [m], without closing it onto the goal."""
+    """Return the path of clothoid splines and a straight of a given length [m], without moving its end to the goal."""
     splines = _chained(nlp.basis, variables, nlp.ends, final_straight)
     return Path(tuple(ClothoidSegment(spline) for spline in splines))
 
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
-    """Return one spline per gear, each from the end of the previous one; the last one includes the straight."""
+    """Return one spline per gear, each from the end of the previous spline; the last spline includes the straight."""
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):

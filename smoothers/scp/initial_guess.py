@@ -42,7 +42,7 @@ __all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit
 
 @dataclass(frozen=True, eq=False)
 class InitialGuesses:
-    """The guesses for one program."""
+    """Initial guesses for one nonlinear program."""
 
     nlp: NonlinearProgram
     earlier: EarlierResult | None = None  # rest of an earlier result, or None
@@ -57,7 +57,7 @@ class InitialGuesses:
 
     @property
     def on_the_input(self) -> SearchGuess | None:
-        """Tracked guess if the input can be tracked; None if this guess is the first guess or close to it."""
+        """Guess that tracks the input; None if the input cannot be tracked or the first guess is nearly the same."""
         if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
@@ -75,7 +75,7 @@ class InitialGuesses:
 
     @property
     def rest_of_earlier(self) -> SearchGuess | None:
-        """Rest of the earlier result, or None."""
+        """Guess that continues an earlier result, or None."""
         if self.earlier is None:
             return None
         settings = self.nlp.settings.guess
@@ -105,7 +105,7 @@ class InitialGuesses:
 
     @cached_property
     def trust_region(self) -> float:
-        """First bound of the heading changes [rad]; its square times half the length estimates the position errors."""
+        """Initial bound on heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
         longest = settings.bold_length * nlp.radius
         return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
@@ -127,7 +127,7 @@ class InitialGuesses:
 
     @cached_property
     def _first(self) -> Variables:
-        """The fit or the pursuit; the tracked path if it is better where they hit obstacles or miss the goal."""
+        """The fit or the pursuit, unless it collides or misses the goal and the tracked path is better."""
         nlp, first = self.nlp, self._untracked
         is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
@@ -153,14 +153,14 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """Return a guess without an earlier result, with more iterations of patience for longer paths."""
+        """Return a guess without an earlier result; longer paths are allowed more iterations without improvement."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 
 class EarlierResult(NamedTuple):
-    """The rest of an earlier result ahead of the robot."""
+    """The part of an earlier result that is ahead of the robot."""
 
     path: Path  # earlier result
     first: int  # index of the first gear that is left
@@ -243,7 +243,7 @@ def pure_pursuit(
 
 
 def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limits) -> list[tuple[float, float]]:
-    """Return the points at the spacing of a step, with a straight tail, so that the pursuit ends aligned with it."""
+    """Return the points at the spacing of a step, extended by a straight line that aligns the end of the pursuit."""
     away = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     s = np.arange(0.0, away[-1], limits.step)
     dense = [np.interp(s, away, points[:, i]) for i in (0, 1)]
@@ -311,7 +311,7 @@ def largest_deviation(nlp: NonlinearProgram, rollout: Rollout) -> float:
 def track(
     nlp: NonlinearProgram, pool: ProgramPool, variables: Variables, trust_region: float, is_late: Callable[[], bool]
 ) -> Variables:
-    """Return the variables after Gauss-Newton steps towards the input's positions (S22), without obstacles.
+    """Return the variables after Gauss-Newton steps towards the input's positions (S22), without regard to obstacles.
 
         minimize  w integral of (across^2 + a along^2) ds + w a' sum over cusps of |p - p_ref|^2
                   + smoothness + goal error
@@ -352,7 +352,7 @@ def track(
 
 
 class _TrackedPath(NamedTuple):
-    """Variables with their roll-out and merit."""
+    """Variables of a tracked path, with their roll-out and merit."""
 
     variables: Variables
     rollout: Rollout

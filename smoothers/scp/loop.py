@@ -1,9 +1,9 @@
 """Sequential convex programming with an L1 merit function and a trust region.
 
-A step minimizes a convex quadratic model of the cost within the trust region, under linear bounds on curvature and rate
-and linearized goal and clearance constraints with L1 penalties. Every iterate is rolled out exactly and projected onto
-the goal if possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
-([Fletcher1985], [Nocedal2006] ch. 18).
+A step minimizes a convex quadratic model of the cost within the trust region, subject to linear bounds on curvature and
+curvature rate. L1 penalties represent the linearized goal and clearance constraints. Every iterate is rolled out
+exactly and projected onto the goal if possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T
+* goal error` ([Fletcher1985], [Nocedal2006] ch. 18).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"
 
 
 class SearchGuess(NamedTuple):
-    """First variables of a search, and first bounds of its steps."""
+    """Initial variables of a search, and initial bounds on its steps."""
 
     variables: Variables  # curvatures and lengths
     trust_region: float  # first bound of the heading changes of a step [rad]
@@ -67,7 +67,7 @@ class Iterate(NamedTuple):
 
     @property
     def missing(self) -> float:
-        """Sum of the shortfalls of all zones and of the goal error [m, rad]."""
+        """Sum of the goal error and the shortfalls in all zones [m, rad]."""
         return float(self.zones.sum() + np.abs(self.end_error).sum())
 
     def merit(self, penalties: Penalties) -> float:
@@ -220,9 +220,10 @@ class _State:
     found: bool = False
 
     def overshoot(self, current: Iterate) -> float:
-        """Clearance added to the buffer before the first feasible iterate [m].
+        """Clearance [m] added to the buffer before the first feasible iterate.
 
-        When a side rolls around a corner, the shortfall after a step is about the same as after the previous step.
+        While a side of the body pivots around the corner of an obstacle, the shortfall hardly changes from step to
+        step.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
@@ -233,7 +234,7 @@ class _State:
         self.rejections = 0
 
     def reject(self, moved: float) -> None:
-        """Shrink the trust region after a rejected step that moved by `moved`."""
+        """Shrink the trust region after a rejected step of size `moved`."""
         self.trust_region = self.settings.trust_cut * min(self.trust_region, max(moved, 1e-6))
         self.proximal *= self.settings.proximal_growth
         self.rejections += 1

@@ -47,7 +47,7 @@ _TRACKED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Ends and gears of the path."""
+    """Start pose, target pose and gears of the path."""
 
     start: FloatArray  # poses, Shape (3,) [m, m, rad]
     target: FloatArray
@@ -79,7 +79,7 @@ class TracedInput(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """Cost and constraints."""
+    """Cost and constraints of one smoothing problem."""
 
     basis: Basis
     ends: Ends  # start, target before the final straight, gears
@@ -110,7 +110,7 @@ def formulate(
     lengths: FloatArray | None,
     settings: Settings,
 ) -> NonlinearProgram:
-    """Return the program of smoothing `path` for `problem`.
+    """Return the nonlinear program that smooths `path` for `problem`.
 
     Args:
         path: Input.
@@ -177,7 +177,7 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 
 
 def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
-    """Return the number of spans of each gear, proportional to its length and at least four, and of intervals per span.
+    """Return the number of spans of each gear (at least four, proportional to length) and of intervals per span.
 
     Args:
         lengths: Lengths of the gears, Shape (num_gears,) [m].
@@ -244,14 +244,14 @@ def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[fl
 
 
 def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
-    """Return the cost of steering from 0 to `curvature` at rest: the distance at full speed in the same time [m]."""
+    """Return the cost [m] of steering from 0 to `curvature` at rest: the distance driven at full speed in that time."""
     if limits.wheelbase <= 0.0:
         return 0.0
     return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * limits.max_speed
 
 
 def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArray | None:
-    """Return the weight of a steered robot's curvature rate in each span: squared speed over squared full speed.
+    """Return the weight of a steered robot's curvature rate in each span: the squared ratio of speed to full speed.
 
     The speed is taken from the fastest motion along gears of these lengths under the acceleration limits.
     """
@@ -271,7 +271,7 @@ def _scaled(weights: Weights, curvature: float) -> Weights:
 
 
 def _braking_distance(problem: DockingProblem) -> float:
-    """Return the distance of full braking from the start state [m]."""
+    """Return the distance [m] of full braking from the start state."""
     (speed, acceleration), limits = problem.start_state(1), problem.robot.limits
     if speed == 0.0:
         return 0.0

@@ -159,10 +159,10 @@ class TurningSolver:
 
 
 def with_turns(path: Path) -> Path:
-    """Return the path in which large turns without motion in polylines are turn segments.
+    """Return the path with large in-place turns of its polylines replaced by turn segments.
 
-    Grid and lattice planners make such steps. A turn at the end of a path is kept unchanged, because planners overwrite
-    the heading of the last pose with the heading of the goal.
+    Grid and lattice planners produce such steps. A turn at the end of a path is kept unchanged, because planners
+    overwrite the heading of the last pose with the heading of the goal.
     """
     segments: list[Segment] = []
     for segment in path.segments:
@@ -191,7 +191,7 @@ def _split(segment: PolylineSegment) -> list[Segment]:
 
 
 def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment], i: int, pose: Pose2) -> DockingProblem:
-    """Return the problem of the piece at `i` from `pose`, with the rules of those ends of the path that it contains."""
+    """Return the problem of the piece at `i` from `pose`, with the rules for the ends of the path that it contains."""
     part, later = parts[i], parts[i + 1 :]
     dock = problem.dock
     direction = DockDirection.AUTO if any(isinstance(other, Path) for other in later) else dock.direction
@@ -214,7 +214,7 @@ def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment],
 
 
 def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """Return the straight line between two poses if the piece is straight and both are on one axis, else None."""
+    """Return the straight line between two poses if the piece is straight and both poses are on one axis."""
     line = straight_line(part, start, end, settings)
     if line is None:
         return None

@@ -48,7 +48,7 @@ __all__ = [
 
 
 class Penalties(NamedTuple):
-    """Weights of the shortfalls of clearance and of the goal error [1/m]."""
+    """Weights [1/m] of the clearance shortfalls and the goal error."""
 
     clearance: float
     goal: float
@@ -260,7 +260,7 @@ _POOLS = _Pools()
 
 
 def pool_of_this_thread() -> ProgramPool:
-    """Return the pool shared by all smoothers of the calling thread, because building programs takes a long time."""
+    """Return the pool of the calling thread, which its smoothers share to avoid building programs more than once."""
     return _POOLS.pool
 
 

@@ -47,7 +47,7 @@ _GOAL_ALONE = 1e-4  # [m]: length of the straight that represents the goal pose
 
 
 class Refusal(NamedTuple):
-    """A violated constraint."""
+    """A violated constraint, with its position and the reason for the error."""
 
     reason: str  # name of the constraint
     s: float  # arc length [m]
@@ -92,7 +92,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
 
 
 def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float) -> Refusal | None:
-    """Return the refusal of a final straight or goal, part of every path, with too little clearance, or None."""
+    """Return the refusal if the final straight or the goal, which every path contains, lacks clearance, or None."""
     goal, straight = problem.goal, problem.dock.final_straight
     back = float(path.segments[-1].direction) * np.linspace(straight, 0.0, _STRAIGHT_SAMPLES if straight > 0.0 else 1)
     poses = np.column_stack(
@@ -143,7 +143,8 @@ def _unseen(broken: Violation, s: float, path: Path | None) -> Refusal:
 def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
     """Return the refusal of turns in place, whose positions are fixed, or None.
 
-    Reasons are a robot that does not turn in place, a start in motion or a final straight at a turn, and obstacles.
+    Turns are refused if the robot cannot turn in place, if the robot moves at the start or a final straight is required
+    at a turn, or if an obstacle is too close.
     """
     first, last = path.segments[0], path.segments[-1]
     for segment, s in zip(path.segments, path.segment_starts[:-1].tolist(), strict=True):
@@ -219,9 +220,9 @@ def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
 
 
 def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: float = 0.0) -> Refusal:
-    """Return the refusal at the pose with the smallest margin of clearance, by the distances of the certificate.
+    """Return the refusal at the pose with the smallest margin of clearance, measured by the certificate's distances.
 
-    Every pose may be valid although the lower bounds of the search are violated.
+    All poses may satisfy the rule although the lower bounds of the search are violated.
     """
     s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / _SPACING) + 1))
     poses = path.poses_at(s)

@@ -25,7 +25,7 @@ class Variables(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """A driven path."""
+    """Path that results from given variables, at the nodes."""
 
     poses: FloatArray  # Shape (num_nodes, 3) [m, m, rad]
     curvature: FloatArray  # Shape (num_nodes,) [1/m]

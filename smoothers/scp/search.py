@@ -81,7 +81,7 @@ class Call(NamedTuple):
 
     @property
     def whole(self) -> DockingProblem:
-        """Problem whose clearance rule applies."""
+        """Problem of the whole path, whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
     def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
@@ -142,7 +142,7 @@ def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
 
 
 def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """Return the straight line between two poses on one axis, in the gear of a one-gear path, or None."""
+    """Return the straight line between two poses on one axis, in the gear of a path with a single gear, or None."""
     if len(path.segments) > 1:
         return None
     sign = int(path.segments[0].direction)
@@ -223,7 +223,7 @@ class IterationTimes:
         self.certificate = self.certificate or pace * _expected(nlp, self._settings.certificate_seconds)
 
     def expected_iteration(self, nlp: NonlinearProgram) -> float:
-        """Return the predicted time of an iteration on the benchmark machine [s]."""
+        """Return the predicted time [s] of an iteration on the benchmark machine."""
         corners = math.prod(nlp.scene.body.vertices.shape[:2])
         return _expected(nlp, self._settings.iteration_seconds) + corners * self._settings.iteration_per_corner
 
@@ -244,7 +244,7 @@ class IterationTimes:
         return not self.deadline.fits(self.iteration)
 
     def reserve(self, *, has_candidate: bool) -> float:
-        """Return the time reserved for the certificate of the candidate [s]."""
+        """Return the time [s] reserved for the certificate of the candidate."""
         return self._settings.certificate_reserve * self.certificate if has_candidate else 0.0
 
     def is_late(self) -> bool:
@@ -309,7 +309,7 @@ class Solver:
         return True
 
     def _try(self, row: Search) -> bool:
-        """Search if the row applies; return whether the strategy ends, with a certified path or at the time limit."""
+        """Search if the row of `STRATEGY` applies; return whether the strategy ends, certified or at the time limit."""
         if not self._prepare_for(row):
             return False
         failed = self.outcome.last
@@ -328,7 +328,7 @@ class Solver:
         return False
 
     def _prepare_for(self, row: Search) -> bool:
-        """Set the program of a row; return False if the same program was searched before."""
+        """Set the program of a row of `STRATEGY`; return False if the same program was searched before."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False

@@ -1,7 +1,7 @@
 """Tuned constants of the method, with the reasons for their values.
 
-Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30`, by the rate of
-certificates, the times to the end and to the first certified path, and the cost. The costs were compared with the
+Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30`, by the share of certified
+results, the time until the end and until the first certified path, and the cost. The costs were compared with the
 optimum by `python -m experiments.benchmarks optimality`. User parameters are in `CasadiSmootherParameters`.
 """
 
@@ -27,7 +27,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ResolutionSettings:
-    """Numbers of spans of linear curvature and of collision intervals within them."""
+    """Numbers of spans, in which the curvature is linear, and of collision intervals per span."""
 
     longest_span: float = 1.2  # of the smallest turning radius: longer spans cost up to 1 % on long paths
     most_spans: int = 80  # the programs grow with the square of it
@@ -74,7 +74,7 @@ class GoalProjectionSettings:
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """First variables of a search, and first bounds of its steps."""
+    """Initial variables of a search, and initial bounds on its steps."""
 
     astray: float = 0.4  # [m]: a fit farther from the input is not used
     turned_away: float = 0.4  # [rad]: a fit with a larger heading error at the goal is not used
@@ -150,7 +150,7 @@ class CollisionSettings:
 
 @dataclass(frozen=True)
 class StepSettings:
-    """The quadratic program of one step."""
+    """Settings of the quadratic program of one step."""
 
     zones: int = 6  # of the path, with one slack each: a single one costs 1 %, twelve take more time
     trust_nodes: int = 12  # least number of headings in the trust region
@@ -204,7 +204,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Rows of the required view, and penalties with which an infeasible search violates the view, not the goal."""
+    """Rows of the required view, and penalties that let an infeasible search violate the view rather than the goal."""
 
     reach: float = 0.35  # [m]: larger margins have no row; as `LoopSettings.most_reach`
     goal_penalty: float = 3000.0  # [1/m]; 6000 makes no difference
@@ -243,7 +243,7 @@ class AnytimeSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings."""
+    """All settings of the method."""
 
     resolution: ResolutionSettings = ResolutionSettings()
     bounds: BoundSettings = BoundSettings()

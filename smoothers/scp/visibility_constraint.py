@@ -1,11 +1,11 @@
-"""Visibility constraint: the dock's marker is in the camera's view at the nodes of the last stretch of the path.
+"""Visibility constraint: the camera's view contains the dock's marker at the nodes of the path's last stretch.
 
-A margin is the distance [m] by which the marker would have to move in the camera's frame to leave the view, so
-shortfalls and rows can be combined with the shortfalls and rows of clearance. Every edge of the view gives one row per
-node. The edges are the two half-planes of a cone of at most half a turn, or the nearest half-plane of a wider cone, and
-the two circles of the ranges. Between two nodes a margin falls below its chord by an eighth of its second difference,
-to leading order; the margins at the nodes are reduced by that amount. The two ends of the stretch lie between nodes,
-and their poses are extrapolated from the previous node.
+A margin is the distance [m] by which the marker would have to move in the camera's frame to leave the view. Margins
+have the unit of clearances, so the shortfalls and rows of both can be combined. Every edge of the view gives one row
+per node. The edges are the two half-planes of a cone of at most half a turn, or the nearest half-plane of a wider cone,
+and the circles of the smallest and the largest range. Between two nodes a margin falls below its chord by an eighth of
+its second difference, to leading order; the margins at the nodes are reduced by that amount. The two ends of the
+stretch lie between nodes, and their poses are extrapolated from the previous node.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class ViewBound:
 
 
 class SeenPlaces(NamedTuple):
-    """The view at positions along a path."""
+    """Marker and view margins at positions along a path."""
 
     node: IntArray  # node before each position, Shape (p,)
     ahead: FloatArray  # distance of the position from that node [m], Shape (p,); 0 at nodes
@@ -97,7 +97,7 @@ def _places(view: RequiredView, left: FloatArray) -> tuple[IntArray, FloatArray]
 
 
 def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray, ahead: FloatArray) -> FloatArray:
-    """Return poses a little ahead of nodes, on arcs with the curvature at the nodes. Shape (p, 3)."""
+    """Return poses at distances after the nodes, extrapolated with the curvature at the nodes. Shape (p, 3)."""
     sign = bound.signs[basis.node_gear[node]]
     turn = ahead * rollout.curvature[node]
     x, y, yaw = rollout.poses[node].T
@@ -106,7 +106,7 @@ def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray,
 
 
 def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the marker in the robot frame (n, 2), and inward normals (edges, n, 2) and margins (edges, n) of edges."""
+    """Return the marker in the robot frame (n, 2), and inward normals (edges, n, 2) and margins (edges, n)."""
     camera, mount = view.camera, view.camera.mount
     point = camera.points_seen(poses, view.marker)
     c, s = np.cos(mount.yaw), np.sin(mount.yaw)

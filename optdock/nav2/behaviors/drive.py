@@ -29,7 +29,7 @@ _SUCCEEDED = BehaviorResult(BehaviorStatus.SUCCEEDED)
 
 
 class Codes(NamedTuple):
-    """Nav2's action error codes of a behavior."""
+    """Nav2's action error codes for a behavior."""
 
     unknown: int
     timeout: int
@@ -49,7 +49,7 @@ class DriveParameters(PluginParameters):
 
 
 class DriveCommand(PluginParameters):
-    """Command of a straight motion."""
+    """Command to drive a straight motion."""
 
     target: float = Field(description="distance along the heading [m]")
     speed: float = Field(description="largest speed [m/s]")
@@ -59,7 +59,7 @@ class DriveCommand(PluginParameters):
 
 @dataclass
 class _Motion:
-    """State of one motion."""
+    """State of one straight motion."""
 
     command: DriveCommand
     deadline: Deadline
@@ -70,8 +70,8 @@ class _Motion:
 class _StraightBehavior(Behavior, ABC):
     """Base class of both behaviors.
 
-    Nav2 checks the edges of the footprint on a grid at single poses; here the whole footprint is swept
-    continuously in the collision check.
+    Nav2 checks the edges of the footprint on a grid at single poses. This class checks the area swept by the whole
+    footprint during the continuous motion.
     """
 
     Parameters = DriveParameters
@@ -84,7 +84,7 @@ class _StraightBehavior(Behavior, ABC):
 
     @property
     def resource_info(self) -> CostmapInfoType:
-        """The local costmap is used."""
+        """Costmap that the collision check uses: the local costmap."""
         return CostmapInfoType.LOCAL
 
     @abstractmethod
@@ -142,7 +142,7 @@ class _StraightBehavior(Behavior, ABC):
         return BehaviorResult(BehaviorStatus.RUNNING), twist
 
     def _next_speed(self, motion: _Motion, remaining: float) -> float:
-        """Return the next speed towards the commanded speed that allows a stop within the remaining distance [m/s]."""
+        """Return the next speed [m/s] towards the commanded speed that allows a stop within the remaining distance."""
         p, highest = self.parameters, abs(motion.command.speed)
         faster = motion.speed + p.acceleration_limit / p.cycle_frequency
         braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)

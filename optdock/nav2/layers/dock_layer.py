@@ -32,9 +32,9 @@ class DockLayerParameters(LayerParameters):
 class DockLayer(Nav2Layer):
     """Clear the mapped cells around the docked robot, mark the dock, and free the cells of the docked robot.
 
-    The dock is one or two cells too large in a map built from scans, so the docked robot appears to collide. The layer
-    belongs above the map's layer and below the sensor layers. Steps that need the dock or the robot's footprint are
-    skipped if it is unknown.
+    In a map built from scans, the dock is one or two cells too large, so the docked robot appears to be in collision.
+    The layer belongs above the map's layer and below the sensor layers. Steps that require the dock or the robot's
+    footprint are skipped if the dock or the footprint is unknown.
 
     Args:
         **parameters: Fields of `DockLayerParameters`.

@@ -48,7 +48,7 @@ class LayerParameters(PluginParameters):
 class Nav2Layer(Layer):
     """Base class of layers that have an `enabled` parameter.
 
-    The layers keep no observations, and write all their cells again on every update.
+    These layers store no observations and write all their cells in every update.
     """
 
     Parameters = LayerParameters
@@ -59,7 +59,7 @@ class Nav2Layer(Layer):
         return self.parameters.enabled
 
     def reset(self) -> None:
-        """Do nothing, because the layer has no observations."""
+        """Do nothing; the layer stores no observations."""
 
 
 def joined(first: Bounds, second: Bounds) -> Bounds:

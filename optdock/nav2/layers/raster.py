@@ -49,8 +49,8 @@ def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
 def cells_of_polygon(vertices: FloatArray) -> IntArray:
     """Return the cells (i, j) that a convex polygon overlaps or touches, Shape (m, 2).
 
-    Cell i spans [i, i + 1), as in `floor`. The test is exact, by separating axes: if a square and a convex polygon are
-    separated, then along a side of one of them.
+    Cell i spans [i, i + 1), as with `floor`. The test uses separating axes and is exact: if a square and a convex
+    polygon are disjoint, an edge normal of one of them separates the two.
 
     Args:
         vertices: Shape (k, 2), counter-clockwise, in cells from the grid's origin.

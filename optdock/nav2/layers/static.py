@@ -1,4 +1,4 @@
-"""StaticLayer: the map (Nav2: `nav2_costmap_2d::StaticLayer`)."""
+"""StaticLayer: a costmap layer that contains the map (Nav2: `nav2_costmap_2d::StaticLayer`)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class StaticLayerParameters(LayerParameters):
 class StaticLayer(Nav2Layer):
     """Write a map into the master grid: each master cell gets the cost of the map's cell at its centre.
 
-    Master cells outside the map are not changed. The layer is not current before `set_map`.
+    Master cells outside the map are not changed. The layer is not current before the first call of `set_map`.
 
     Args:
         **parameters: Fields of `StaticLayerParameters`.
@@ -74,7 +74,7 @@ class StaticLayer(Nav2Layer):
         self._map = grid
 
     def is_current(self) -> bool:
-        """Whether a map is set and was not declared out of date."""
+        """Whether a map is set and has not been declared out of date."""
         return super().is_current() and self._map is not None
 
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:

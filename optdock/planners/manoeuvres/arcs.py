@@ -1,4 +1,4 @@
-"""Sequences of circular arcs and straight lines, and trees of arcs that grow from the start or the goal.
+"""Sequences of circular arcs and straight lines, and trees of arcs with the start or the goal as root.
 
 An arc has a signed length, negative in reverse, and a curvature d yaw / d length that is positive to the left in either
 gear. Sequences are padded with arcs of length zero to a common number of columns.
@@ -45,7 +45,7 @@ class Arcs(NamedTuple):
     curvatures: FloatArray
 
     def rows(self, keep: IntArray | slice) -> Arcs:
-        """Return the sequences at `keep`."""
+        """Return the sequences selected by `keep`."""
         return Arcs(self.start[keep], self.lengths[keep], self.curvatures[keep])
 
     def joints(self) -> FloatArray:
@@ -92,7 +92,7 @@ class Arcs(NamedTuple):
 
 
 class Moves(NamedTuple):
-    """Motions to try from every node: signs of the lengths and curvatures, Shape (c,) each [1/m]."""
+    """Motions to try from every node: signs of the lengths, and curvatures [1/m], Shape (c,) each."""
 
     signs: FloatArray
     curvatures: FloatArray
@@ -105,10 +105,10 @@ class Moves(NamedTuple):
 
 
 class ArcTree:
-    """Nodes that are reached from a root pose, Shape (3,), by free arcs.
+    """Nodes that can be reached from a root pose, Shape (3,), by collision-free arcs.
 
     `gear` is the gear in which arcs of positive length are driven: 1 for the tree of the start, -1 for the tree of the
-    goal, which grows backwards in time.
+    goal, which is built backwards in time.
 
     Attributes:
         poses: Shape (n, 3).
@@ -138,7 +138,7 @@ class ArcTree:
         """Extend the nodes at `rows` by all moves, up to their first collision, and return the rows of the new nodes.
 
         Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
-        found, which it receives in ascending order of price; None keeps all poses.
+        found, in ascending order of price; None keeps all poses.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
@@ -223,6 +223,6 @@ def _free_lengths(
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
-    """Concatenate several sequences of arcs to one sequence that begins at a pose."""
+    """Concatenate several sequences of arcs into one sequence that begins at a pose."""
     lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
     return Arcs(start[None], lengths, curvatures)

@@ -50,7 +50,7 @@ class Connections(NamedTuple):
     curvatures: FloatArray
 
     def rows(self, keep: IntArray | BoolArray | slice) -> Connections:
-        """Return the words at `keep`."""
+        """Return the words selected by `keep`."""
         return Connections(
             self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]
         )
@@ -75,7 +75,7 @@ class TreeNodes(NamedTuple):
 
 
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """Return the cheapest words between pairs of nodes in gears allowed at both ends, without a collision check."""
+    """Return the cheapest words between pairs of nodes, in gears allowed at both ends, without a collision check."""
     problem, (leaving, i), (arriving, j) = space.problem, exits, entries
     pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
     # With the gears in which the nodes are left and reached, cusps at the joints are also counted.
@@ -178,7 +178,7 @@ def free_manoeuvres(
 
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
-    """Whether a single manoeuvre is free at finely spaced poses, without the margin."""
+    """Whether a single manoeuvre is collision-free at finely spaced poses, without the margin."""
     space.poll()
     poses = whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH)
     return bool(space.is_free(poses, 0.0, effort.start_relief).all())

@@ -1,4 +1,4 @@
-"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest routes of a disc on it."""
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest routes of a disc."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
 
 
 class Wavefront:
-    """Lengths of shortest routes around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
+    """Lengths of shortest routes around the obstacles for a disc of a given radius [m], from a source, Shape (2,) [m].
 
     A wave spreads over the grid, alternately to the four and the eight neighbours of its front, so the front is an
     octagon. The number of steps is a lower bound of the length in cells and is too small by at most 11 %. The wave

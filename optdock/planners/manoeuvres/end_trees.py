@@ -1,4 +1,4 @@
-"""Straight lines and arcs out of the start and out of the dock; the search connects the ends of both.
+"""Straight lines and arcs that leave the start and the dock, whose ends are connected by the search.
 
 A robot alongside a wall cannot turn away from the wall at full lock, because its tail would hit the wall. If the tail
 may come a few millimetres closer, the robot can follow the wall while heading and curvature grow exponentially
@@ -59,7 +59,7 @@ class Exits(NamedTuple):
 
 
 class EndTrees:
-    """The trees at both ends of one problem."""
+    """The trees of arcs at the start and at the dock of one problem."""
 
     def __init__(self, problem: DockingProblem, space: FreeSpace) -> None:
         self.problem, self.space = problem, space
@@ -81,7 +81,7 @@ class EndTrees:
         return ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
 
     def straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
-        """Return nodes at the start and along the free straight lines from it; for `more` see `staging`."""
+        """Return nodes at the start and along the free straight lines out of the start; for `more` see `staging`."""
         tree = self.from_start()
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
         tree.grow(ROOT, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
@@ -120,7 +120,7 @@ class EndTrees:
         return self._by_effort[key]
 
     def entries(self, effort: Effort) -> TreeNodes:
-        """Return the staging poses, and without a final straight also the ends of arcs into the dock."""
+        """Return the staging poses and, if there is no final straight, also the ends of arcs into the dock."""
         tree, rows = self.staging(effort)
         if self.problem.dock.final_straight > 0.0:
             return TreeNodes(tree, rows)
@@ -154,7 +154,7 @@ class EndTrees:
         return rows if fresh.size else fresh, room
 
     def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
-        """Grow arcs at full lock in alternating gears that turn the robot one way, as a car leaves a short slot."""
+        """Grow arcs at full lock in alternating gears, all turning the robot one way, as a car leaves a short slot."""
         station, found = np.array([effort.radius * EXIT_TURN]), []
         for side in BOTH:
             for gear in gears:
@@ -179,9 +179,10 @@ class EndTrees:
 
 
 def turning_radius(problem: DockingProblem) -> float:
-    """Return the smallest turning radius that the search uses [m].
+    """Return the smallest turning radius [m] that the search uses.
 
-    Sharper turns than the curvature rate allows within one radian, or with a centre within the robot, gain little.
+    Turns gain little if they are sharper than the curvature rate allows within one radian, or if their centre is within
+    the robot.
     """
     limits = problem.robot.limits
     sharpest = min(limits.max_curvature, 2.0 / problem.robot.footprint.circumscribed_radius)
@@ -189,7 +190,7 @@ def turning_radius(problem: DockingProblem) -> float:
 
 
 def gears_into(dock: Dock) -> tuple[float, ...]:
-    """Return the possible signs of the length of the last motion into a dock."""
+    """Return the signs that the length of the last motion into a dock may have."""
     return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(dock.direction, BOTH)
 
 

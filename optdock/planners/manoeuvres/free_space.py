@@ -35,7 +35,7 @@ _EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
 
 
 class Effort(NamedTuple):
-    """Resolution of a search.
+    """Resolution and limits of a search.
 
     `radius`: radius of all arcs [m]. `margin`: additional clearance for the smoother [m]. `fineness`: cells of the pose
     grid per width of the robot. `nodes`: largest number of nodes of hybrid A*. `start_relief`: see
@@ -73,10 +73,10 @@ def _discs(body: ConvexBody, across: int) -> _Discs:
 
 
 class FreeSpace:
-    """Test whether poses keep the clearance that a problem requires and a margin.
+    """Test whether poses have the clearance that a problem requires, plus a margin.
 
-    `poll` is called every few milliseconds and raises to end the search. Attribute `width`: smaller extent of the
-    footprint [m].
+    `poll` is called every few milliseconds and raises an exception to end the search. Attribute `width`: smaller extent
+    of the footprint [m].
     """
 
     def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
@@ -95,11 +95,11 @@ class FreeSpace:
         self._levels = [[_discs(body, across) for body in self.footprint.bodies] for across in (1, _FINE_DISCS)]
 
     def spacing(self, effort: Effort) -> float:
-        """Return the spacing of the poses of a collision check [m]."""
+        """Return the spacing [m] between the poses of a collision check."""
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
     def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:
-        """Return the wavefront of a disc from a position, Shape (2,) [m]; by default of the inscribed disc."""
+        """Return the wavefront of a disc, by default the inscribed disc, from a position, Shape (2,) [m]."""
         return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
 
     @functools.cached_property
@@ -130,7 +130,7 @@ class FreeSpace:
         return passed
 
     def is_free(self, poses: FloatArray, margin: float = 0.0, start_relief: float = 0.0) -> BoolArray:
-        """Whether poses, Shape (n, 3), keep the required clearance and the margin [m]. Shape (n,)."""
+        """Whether poses, Shape (n, 3), have the required clearance plus the margin [m]. Shape (n,)."""
         if len(self.obstacles) == 0 or len(poses) == 0:
             return np.ones(len(poses), dtype=np.bool_)
         required = self.required(poses, margin, start_relief) - TOLERANCE

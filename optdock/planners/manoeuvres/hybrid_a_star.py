@@ -1,9 +1,9 @@
-"""Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as analytic expansions.
+"""Hybrid A* from one end to the other, with many nodes per step and Reeds-Shepp words as analytic expansions.
 
-The search of [Dolgov2010] expands over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
-and tries, from nodes, the shortest path to the goal without regard to obstacles. Here the search begins at the tighter
-end, usually the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger
-of the cheapest word and the length of the shortest route of a disc among the obstacles.
+The search of [Dolgov2010] expands poses that are not rounded to a grid, keeps one node per cell of a pose grid, and
+tries the shortest path from a node to the goal without regard to obstacles. Here the search begins at the tighter end,
+usually the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger of
+the cheapest word and the length of the shortest route of a disc among the obstacles.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # distances of nodes alon
 
 
 class PoseGrid:
-    """Grid of pose cells, fine near obstacles and coarse in open space, each of which is entered only once.
+    """Grid of pose cells, fine near obstacles and coarse in open space, with at most one node per cell.
 
     The smallest cells are the width of the robot divided by `fineness`.
     """
@@ -50,7 +50,7 @@ class PoseGrid:
         self._seen: set[int] = set()
 
     def enter(self, poses: FloatArray) -> BoolArray:
-        """Return a mask of the poses, Shape (n, 3), that are the first in their cells, and enter them. Shape (n,)."""
+        """Return a mask of the poses, Shape (n, 3), that are the first in their cells; mark the cells. Shape (n,)."""
         room, _ = self._field.bounds(poses[:, :2])
         level = np.searchsorted(_ROOM * self._field.reach, room)
         scale = _COARSER[level]
@@ -79,12 +79,12 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres from start to goal as they are found.
 
-    The first manoeuvre found is seldom the best. Once there is a plan, the tree stops growing, but the remaining words
-    are tried as long as they may be cheaper.
+    The first manoeuvre found is seldom the best. Once there is a plan, no more nodes are added to the tree, but the
+    remaining words are tried while they may be cheaper.
 
     Args:
-        exits: The start and other nodes of its tree. Every node of the search is joined to the start and to one other
-            node of this tree, which changes in turn.
+        exits: The start and other nodes of its tree. Every node of the search is joined to the start and to one of the
+            other nodes of this tree, in turn.
         entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.

@@ -75,8 +75,8 @@ class ManoeuvrePlannerParameters(PluginParameters):
 class ManoeuvrePlanner(GlobalPlanner):
     """Plan manoeuvres with cusps among obstacles: Reeds-Shepp words between trees of arcs around start and goal.
 
-    Every path keeps the clearance that the problem requires and the turning radius of the robot; its curvature jumps
-    between arcs, so it must be smoothed. The planner needs a problem in its context.
+    Every path satisfies the required clearance of the problem and the turning radius of the robot. Its curvature jumps
+    between arcs, so the path must be smoothed. The planner needs a problem in its context.
 
     Args:
         **parameters: See `ManoeuvrePlannerParameters`.
@@ -92,7 +92,7 @@ class ManoeuvrePlanner(GlobalPlanner):
         """Check the context.
 
         Raises:
-            InvalidValue: If the context holds no problem.
+            InvalidValue: If the context contains no problem.
         """
         if self.context.problem is None:
             raise InvalidValue(f"{self.context.name}: needs a problem; configure it with PluginContext(problem=...)")
@@ -114,7 +114,7 @@ class ManoeuvrePlanner(GlobalPlanner):
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,
     ) -> Iterator[Guess | None]:
-        """Yield collision-free manoeuvres, stage by stage, within a stage in ascending order of price.
+        """Yield collision-free manoeuvres stage by stage, in ascending order of price within each stage.
 
         Raises:
             LifecycleError: If the planner is not configured.
@@ -149,7 +149,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
 
 def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
-    """Return the message of a search without result, which tells whether the dock can be entered straight."""
+    """Return the message of a search without a result, including whether the dock can be entered on a straight line."""
     dock = problem.dock
     wanted = [gear for gear in runs if dock.direction.value in (gear, "auto")]
     if all(runs[gear] < dock.final_straight for gear in wanted):
@@ -167,7 +167,11 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
 
 
 class Stages:
-    """One search in stages; `slack`: radius of the first words, in smallest turning radii; `poll` raises to end it."""
+    """One search in stages.
+
+    `slack`: radius of the first words, as a multiple of the smallest turning radius. `poll`: raises an exception to end
+    the search.
+    """
 
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
@@ -220,21 +224,21 @@ class Stages:
 
     @functools.cached_property
     def space(self) -> FreeSpace:
-        """The free space."""
+        """Free space for collision checks."""
         return FreeSpace(self.problem, self._poll)
 
     @functools.cached_property
     def trees(self) -> EndTrees:
-        """Straight lines and arcs out of both ends."""
+        """Trees of straight lines and arcs at the start and at the dock."""
         return EndTrees(self.problem, self.space)
 
     def straight_runs(self) -> dict[str, float]:
-        """Return the free straight length in front of the dock for entering the dock in each gear [m]."""
+        """Return the free straight length [m] in front of the dock for entering the dock in each gear."""
         return self.trees.straight_runs(self._efforts[-1])
 
     @functools.cached_property
     def _cheapest_word(self) -> float:
-        """The least price of a word to the final straight without obstacles [s]."""
+        """The least price [s] of a word to the final straight, without regard to obstacles."""
         straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
@@ -264,7 +268,7 @@ class Stages:
         return self.trees.staging(self._efforts[0])
 
     def _words(self, effort: Effort) -> Iterator[Guess]:
-        """Yield words from the start to the staging poses that keep the margin of `effort`."""
+        """Yield words from the start to the staging poses that satisfy the margin of `effort`."""
         staging = self._staging
         if staging.rows.size == 0:
             return
@@ -279,7 +283,7 @@ class Stages:
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or its price is much higher than that of the shortest route around obstacles."""
+        """Whether there is no plan, or the plan costs much more than the shortest route around the obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True
@@ -294,7 +298,7 @@ class Stages:
         return self.space.wavefront(self.problem.start.as_array()[:2])
 
     def _along_routes(self) -> Iterator[Guess]:
-        """Yield words from pose to pose along the shortest route of a disc around the obstacles."""
+        """Yield sequences of words between poses along the shortest route of a disc around the obstacles."""
         start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
         radius += self.problem.path_clearance.required
         wave = self.space.wavefront(start[:2], radius)
@@ -379,7 +383,7 @@ class Stages:
         return self._better_than() - ends_cost(self.problem)
 
     def _is_another_way(self, arcs: Arcs) -> bool:
-        """Whether a manoeuvre differs from all those yielded before by more than half the width of the robot."""
+        """Whether a manoeuvre differs from all manoeuvres yielded before by more than half the width of the robot."""
         places = arcs.poses_at_shares(np.linspace(0.0, 1.0, 17))[0, :, :2]
         near = 0.5 * self.problem.robot.footprint.width
         if any(np.abs(places - other).max() < near for other in self._known):

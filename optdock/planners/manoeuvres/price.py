@@ -49,7 +49,7 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
 
 
 def least_price(path: Path, problem: DockingProblem) -> float:
-    """Return a lower bound of the price of motions along `path`, from speed, acceleration, jerk and speed zone [s].
+    """Return a lower bound of the price [s] of motions along `path`, given speed, acceleration, jerk and speed zone.
 
     Curvature and clearance can only raise the price. A smoother may still find a shorter path nearby.
     """
@@ -112,19 +112,19 @@ def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
 
 
 def stops(path: Path) -> int:
-    """Return the number of stops on the way for changing gear, turning in place, or both at once."""
+    """Return the number of intermediate stops for changing gear, turning in place, or both at once."""
     driven = sum(not isinstance(segment, TurnSegment) for segment in path.segments)
     return max(driven - 1, 0)
 
 
 def _reversing(lengths: FloatArray, robot: Robot) -> FloatArray:
-    """Return the price of reversing for signed lengths, negative in reverse, of any shape [s]."""
+    """Return the price [s] of reversing for signed lengths, negative in reverse, of any shape."""
     prices: FloatArray = robot.reverse_price * np.maximum(-lengths, 0.0)
     return prices
 
 
 def driving_prices(lengths: FloatArray, robot: Robot) -> FloatArray:
-    """Return the prices of driving signed lengths, negative in reverse, at full speed. Any shape [s]."""
+    """Return the prices [s] of driving signed lengths, negative in reverse, at full speed, of any shape."""
     limits = robot.limits
     times: FloatArray = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
     return times + _reversing(lengths, robot)
@@ -180,13 +180,13 @@ def _ramp(
 
 
 def stopping_cost(limits: MotionLimits) -> float:
-    """Return the cost of a change of gear beyond the time at full speed, including the price of the cusp [s]."""
+    """Return the cost [s] of a change of gear beyond the time at full speed, including the price of the cusp."""
     mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
     return CUSP_PRICE + 0.5 * mean / limits.max_acceleration + 0.5 * mean / limits.max_deceleration
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time that the start, the speed zone and the stop add to the time at full speed [s].
+    """Return a lower bound of the time [s] that the start, the speed zone and the stop add to the time at full speed.
 
     The bound is exact if the jerk is not limited, the gears are known, and the path is long enough for full speed.
     """

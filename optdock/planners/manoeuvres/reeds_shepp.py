@@ -3,7 +3,7 @@
 The shortest path with bounded curvature and any number of cusps is one of 48 words of at most five arcs and straight
 lines (`L+R-L-` and so on), as proven in [ReedsShepp1990]. The words have eleven closed forms, each with four mirrors:
 time reversal, reflection, both, or none. In words of three arcs the sign of the last arc is free, so 44 forms contain
-all 48 words. They are evaluated for many pairs of poses at once.
+all 48 words. The forms are evaluated for many pairs of poses at once.
 """
 
 from __future__ import annotations

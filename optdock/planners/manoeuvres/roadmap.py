@@ -1,12 +1,12 @@
 """A lazy roadmap along a route: Reeds-Shepp words between poses on the shortest route around the obstacles.
 
-The shortest route of a disc through a building is known from the wavefront. Poses are placed along that route, facing
-either way along it, and neighbours are joined by Reeds-Shepp words. A best-first search finds the cheapest sequence of
-words and checks a word for collisions only when the search reaches this word (lazily, as in [Bohlin2000], where the
+The shortest route of a disc through a building is known from the wavefront. Poses are placed along that route, in both
+directions of the route, and neighbours are joined by Reeds-Shepp words. A best-first search finds the cheapest sequence
+of words and checks a word for collisions only when the search reaches this word (lazily, as in [Bohlin2000], where the
 vertices of the roadmap are random).
 
 The route of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) moves this route towards
-the middle of the free space, until there is enough room around it for the robot to turn.
+the middle of the free space, until the robot has enough room to turn everywhere on the route.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first st
 
 
 class _Edges(NamedTuple):
-    """Words between vertices in the order of their sources: Shape (m,), lengths and curvatures (m, 5)."""
+    """Words between vertices, sorted by source: Shape (m,), with lengths and curvatures of Shape (m, 5)."""
 
     sources: IntArray
     targets: IntArray
@@ -102,7 +102,7 @@ class _LazySearch:
         self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1))
 
     def _words(self) -> _Edges:
-        """Return words between vertices that are close along the route, in gears allowed at both ends."""
+        """Return words between vertices that are close to each other along the route, in gears allowed at both ends."""
         station, vertex = self._station, np.arange(len(self._poses))
         i, j = (grid.ravel() for grid in np.meshgrid(vertex[: self._end], vertex[self._begin :], indexing="ij"))
         on, leaves, arrives = station[j] - station[i], i < self._begin, j >= self._end
@@ -145,7 +145,7 @@ class _LazySearch:
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
     def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
-        """Push all words out of a vertex; their bound is the price so far plus a bound for the remaining route."""
+        """Push all words that leave a vertex, with the price so far plus a bound for the remaining route."""
         some = slice(self._of[vertex], self._of[vertex + 1])
         changes = self._edges.begins[some] * label.gear < 0.0
         prices = label.price + self._edges.prices[some] + self._stop * changes
@@ -203,9 +203,9 @@ def _arc_lengths(route: FloatArray) -> FloatArray:
 
 
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
-    """Return a route, Shape (n, 2) [m], pulled straight and pushed away from obstacles nearer than `room` [m].
+    """Return a route, Shape (n, 2) [m], straightened and moved away from obstacles nearer than `room` [m].
 
-    Its ends are kept; its points lie about one robot width apart.
+    The ends of the route are kept, and its points are about one robot width apart.
     """
     s = _arc_lengths(route)
     at = np.linspace(0.0, s[-1], max(3, round(s[-1] / space.width) + 1))

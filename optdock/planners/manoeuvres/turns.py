@@ -1,10 +1,10 @@
-"""Manoeuvres of robots that turn in place, made of turns and straight lines.
+"""Manoeuvres of turns in place and straight lines, for robots that can turn in place.
 
 On open floor, the fastest motions of a differential drive with bounded wheel speeds are such sequences [Balkcom2002].
 Straight runs leave the start and enter the dock. Between the ends of two such runs the robot turns, drives straight and
-turns again. If obstacles block this straight line, the robot follows a shortest route around them for the disc in which
-it turns, shortened by lines of sight. The smoother rounds corners that have enough room, so the robot need not stop
-there.
+turns again. If obstacles block this straight line, the robot follows a shortest route around the obstacles for the disc
+in which it turns, shortened by lines of sight. The smoother rounds corners that have enough room, so that no stop is
+needed there.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _line(pose: FloatArray, length: float, spacing: float) -> FloatArray:
 
 
 def _ending_at(last: Segment, goal: Pose2) -> Segment:
-    """Return the last segment with the goal itself as its last pose."""
+    """Return the last segment with exactly the goal as its last pose."""
     if isinstance(last, TurnSegment):
         return TurnSegment(last.pose, last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi))
     assert isinstance(last, PolylineSegment)  # other types of segment are not built here
@@ -128,7 +128,7 @@ def _ending_at(last: Segment, goal: Pose2) -> Segment:
 
 
 def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: FreeSpace, effort: Effort) -> BoolArray:
-    """Whether turns [rad] from the poses at `rows` may be free, by a check of some headings. Shape (n,)."""
+    """Whether turns [rad] from the poses at `rows` may be collision-free, checked at some headings. Shape (n,)."""
     space.poll()
     step = 2.0 * math.pi / _HEADINGS
     around = np.repeat(poses[:, None], _HEADINGS, axis=1)
@@ -269,7 +269,7 @@ def _whole(
 ) -> TurnsAndDrives:
     """Return the manoeuvre of a run out of the start, the turns and drives `middle`, and a run into the dock.
 
-    `middle` contains one turn more than drives.
+    `middle` contains one more turn than drives.
     """
     out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
     nothing = np.zeros(1)
@@ -294,7 +294,7 @@ def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, F
 
 
 def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
-    """Return the price at full speed with the cost of stops, comparable with the price of words [s]."""
+    """Return the price [s] at full speed plus the cost of stops, which is comparable with the price of words."""
     limits, lengths, rounds = space.problem.robot.limits, whole.lengths, whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
@@ -302,7 +302,7 @@ def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
 
 
 def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
-    """Whether a manoeuvre is free, with the margin at widely spaced poses and without it at close poses."""
+    """Whether a manoeuvre is free at widely spaced poses with the margin, and at closely spaced poses without it."""
     space.poll()
     reach = space.footprint.circumscribed_radius
     if not space.is_free(whole.poses_every(space.spacing(effort), reach), effort.margin, effort.start_relief).all():
@@ -334,7 +334,7 @@ def routes(
 def _around(
     exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
-    """Yield manoeuvres along shortest routes of a disc between nodes, shortened for a narrower disc, in both gears."""
+    """Yield manoeuvres in both gears along shortest routes of a disc between nodes, shortened for a narrower disc."""
     source, (turning, driving) = exits.tree.poses[out], radii
     wave = space.wavefront(source[:2], turning)
     for into in entries.rows.tolist():

@@ -1,7 +1,7 @@
-"""Contract suites: the rules that a plugin must keep, as tests that its author runs.
+"""Contract suites: the rules that a plugin must satisfy, as tests for its author.
 
 There is one suite per interface, a plain class with methods `test_...`. pytest collects a subclass that constructs the
-plugin. No test runner is imported here.
+plugin. This package imports no test runner.
 
     from optdock.testing.contracts import GoalCheckerContract
 

@@ -68,7 +68,7 @@ def room_costmap() -> Costmap:
 
 
 def room() -> ObstacleSet:
-    """Return walls around the robot at the origin, too close for the robot to turn or to drive a metre."""
+    """Return walls around the origin, so close that a robot there can neither turn nor drive a metre."""
     low = np.array([(-3.0, 0.3), (-3.0, -0.6), (0.7, -0.3), (-1.2, -0.3)])
     high = np.array([(3.0, 0.6), (3.0, -0.3), (1.4, 0.3), (-0.6, 0.3)])
     return ObstacleSet.from_rectangles(low, high, "wall")
@@ -96,7 +96,7 @@ def bent_path() -> Path:
 
 
 def post_inside_the_bend() -> ObstacleSet:
-    """Return a post of 20 cm inside the corner of `bent_path`, which the robot passes at less than 1 mm."""
+    """Return a post of 20 cm inside the corner of `bent_path`, whose distance from the passing robot is below 1 mm."""
     return ObstacleSet.from_rectangles(np.array([[1.2, 0.469]]), np.array([[1.4, 0.669]]), "post")
 
 

@@ -112,7 +112,7 @@ class ControllerContract(PluginContract[Controller]):
             self._require_arrival(self._drive(self._following(follow), _CYCLES, checker), task.path.end)
 
     def test_a_reverse_gear_is_driven_or_refused(self) -> None:
-        """`set_path`: ControllerInvalidPath with a reason, or commands with negative speed up to the end."""
+        """`set_path`: a path in reverse is driven to its end or refused by ControllerInvalidPath with a reason."""
         for task in (straight_drive(ORIGIN, Direction.REVERSE), cusp_drive(ORIGIN)):
             controller = attempted(partial(self._following, task), ControllerInvalidPath)
             if controller is not None:
@@ -121,7 +121,7 @@ class ControllerContract(PluginContract[Controller]):
                 self._require_arrival(run, task.path.end)
 
     def test_a_speed_limit_holds_until_it_is_removed(self) -> None:
-        """`set_speed_limit`: the limit is in percent or m/s; 0 removes it; wrong values raise InvalidValue."""
+        """`set_speed_limit`: limits are in percent or m/s, 0 removes the limit, and wrong values raise InvalidValue."""
         free, top = self._peak_after(lambda _: None), ROBOT.limits.max_speed
         slow = 0.4 * free
         by_speed = self._peak_after(lambda c: c.set_speed_limit(slow, False))  # noqa: FBT003 - as in Nav2
@@ -141,7 +141,7 @@ class ControllerContract(PluginContract[Controller]):
             refused(call, InvalidValue, f"set_speed_limit({limit}, {percentage!r}) is refused")
 
     def test_cancelling_ends_in_a_stop(self) -> None:
-        """`cancel`: False while the commands become slower, True at rest; then a new path can be driven."""
+        """`cancel`: the result is False during deceleration and True at rest; then a new path can be driven."""
         controller = self._following(s_curve_drive(ORIGIN))
         commands, pose = self._drive(controller, 40)
         twist, asked = commands[-1], 0
@@ -162,7 +162,7 @@ class ControllerContract(PluginContract[Controller]):
         )
 
     def test_a_robot_far_from_its_path_gets_an_error_or_a_command(self) -> None:
-        """`compute_velocity_commands`: a ControllerException with a reason, or a command within the limits."""
+        """`compute_velocity_commands`: the call returns a command within the limits or raises a ControllerException."""
         for pose in (Pose2(30.0, 30.0, 3.0), Pose2(-2.0, 1.0, -3.1), Pose2(1.0, 0.3, 40.0)):
             controller = self._following(s_curve_drive(ORIGIN))
             call = partial(controller.compute_velocity_commands, pose, _REST, None)
@@ -236,7 +236,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
             yield goal @ Pose2(dx, dy, turn), goal, Twist2(v, w), _remaining(length, goal) if length else []
 
     def test_a_robot_at_rest_at_the_goal_has_arrived(self) -> None:
-        """`is_goal_reached`: True at the goal for any path: empty, a single pose, or repeated poses."""
+        """`is_goal_reached`: the result at the goal is True for an empty path, a single pose, and repeated poses."""
         paths: list[Sequence[Pose2]] = [[GOAL] * count for count in (0, 1, 5)]
         paths += [[GOAL @ Pose2(1e-12, 0.0, 0.0), GOAL], _remaining(1e-9), _remaining(0.05), tuple(_remaining(0.05))]
         for path in paths:
@@ -246,7 +246,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
             )
 
     def test_a_robot_elsewhere_has_not_arrived(self) -> None:
-        """`is_goal_reached`, `Tolerances`: False at 100 m, with a longer remaining path, or turned by 90 degrees."""
+        """`is_goal_reached`: the result is False at 100 m, with a longer remaining path, or turned by 90 degrees."""
         accepted = self.ready_plugin().tolerances
         for angle in np.arange(8) * math.pi / 4.0:
             query = GOAL @ Pose2(_FAR * math.cos(angle), _FAR * math.sin(angle), 0.0)
@@ -260,7 +260,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
                 self._require_not_reached(GOAL @ Pose2(0.0, 0.0, turn), [], f"turned by {turn:.2f} rad")
 
     def test_tolerances_are_numbers_or_none(self) -> None:
-        """`tolerances`: finite and not negative, or None if the quantity is not checked."""
+        """`tolerances`: every value is finite and not negative, or None if the quantity is not checked."""
         found = self.ready_plugin().tolerances
         require(isinstance(found, Tolerances), f"tolerances are Tolerances, got {type(found).__name__}")
         for name, value in found._asdict().items():
@@ -268,7 +268,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         require((found.x is None) == (found.y is None), "a position is checked along both axes or not at all")
 
     def test_verdicts_are_booleans_and_inputs_stay(self) -> None:
-        """`is_goal_reached`, `is_goal_xy_reached`: the results are bool; on arrival, the position is reached too."""
+        """`is_goal_reached`, `is_goal_xy_reached`: results are bool; on arrival, the position is also reached."""
         checker = self.ready_plugin()
         for query, goal, velocity, path in self.queries():
             checker.reset()
@@ -290,7 +290,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         require(self.exercise(checker) == verdicts, "after a reset the verdicts are those of a new checker")
 
     def test_the_origin_of_the_frame_has_no_influence(self) -> None:
-        """`is_goal_reached`: equal verdicts if the same rigid motion is applied to all poses."""
+        """`is_goal_reached`: the verdicts stay the same if the same rigid motion is applied to all poses."""
         for motion in (Pose2(2.0, -1.0, 0.7), Pose2(0.0, 0.0, 2.0 * math.pi)):
             here, there = self.ready_plugin(), self.ready_plugin()
             for query, moved in zip(self.queries(), self.queries(motion), strict=True):
@@ -355,13 +355,13 @@ class BehaviorContract(PluginContract[Behavior]):
         return begun, result, (twist.linear, twist.angular)
 
     def test_it_names_its_costmaps_and_needs_on_run(self) -> None:
-        """`resource_info`, `on_run`: the costmaps are known before `configure`; no cycle without a started run."""
+        """`resource_info`, `on_run`: costmaps are known before `configure`, and a cycle requires a started run."""
         found = self.make_plugin().resource_info
         require(isinstance(found, CostmapInfoType), f"resource_info is a CostmapInfoType, got {found!r}")
         self._require_no_cycle(self.ready_plugin(), "there is no cycle before on_run")
 
     def test_it_runs_and_ends_at_rest(self) -> None:
-        """`on_cycle_update`: RUNNING, then SUCCEEDED with a stop; a second run has the same commands."""
+        """`on_cycle_update`: the status is RUNNING, then SUCCEEDED with a stop; a second run has the same commands."""
         behavior, world = self._begun(self.make_context())
         result = self._run(behavior, world)
         require(result.status is BehaviorStatus.SUCCEEDED, f"the command succeeds in open space, got {result}")
@@ -376,7 +376,7 @@ class BehaviorContract(PluginContract[Behavior]):
         require(world.commands == first, "the second run has the same commands as the first")
 
     def test_a_bad_command_is_refused_with_its_code(self) -> None:
-        """`on_run`: FAILED with code and message, without an exception; an earlier run is ended too."""
+        """`on_run`: a bad command gives FAILED with code and message, raises nothing, and ends an earlier run."""
         numbers = [name for name, value in self.command.items() if isinstance(value, float)]
         not_finite = [{**self.command, name: bad} for name in numbers for bad in (math.nan, math.inf, -math.inf)]
         for bad in (*self.bad_commands, {**self.command, "no such thing": 1}, *not_finite):
@@ -387,7 +387,7 @@ class BehaviorContract(PluginContract[Behavior]):
             self._require_failure(self.ready_plugin().on_run(bad), self.invalid_code, f"the first command {bad}")
 
     def test_it_gives_up_after_its_time_allowance(self) -> None:
-        """`on_cycle_update`: if the robot is stuck, a timed behavior fails with its code, at rest."""
+        """`on_cycle_update`: if the robot is stuck, a timed behavior stops and fails with its code."""
         if self.timed_command is not None:
             behavior, world = self._begun(self.make_context(), self.timed_command, stuck=True)
             self._require_failure(self._run(behavior, world), self.timeout_code, "a stuck robot")
@@ -485,7 +485,7 @@ class DockTypeContract(PluginContract[DockType]):
             yield Measurements(0.2, GOAL @ Pose2(-0.8, 0.0, 0.0), Twist2(0.1), found)
 
     def test_results_have_the_right_types_in_every_cycle(self) -> None:
-        """`contact`, `is_charging` and the properties: right types for all sensor values and repeated stamps."""
+        """`contact`, `is_charging`, properties: the types are right for all sensor values and repeated stamps."""
         checked, far = CheckedDockType(self.ready_plugin()), Pose2(-3.0, 0.2, 0.1)
         for now in self.approach():
             checked.contact(now)
@@ -500,7 +500,7 @@ class DockTypeContract(PluginContract[DockType]):
                     checked.is_charging(measurements)
 
     def test_a_robot_far_away_without_a_signal_has_no_contact(self) -> None:
-        """`contact`: None far from the dock without a signal."""
+        """`contact`: the result is None far from the dock if there is no signal."""
         plugin = self.ready_plugin()
         plugin.reset()
         for cycle in range(100):
@@ -523,7 +523,7 @@ class DockTypeContract(PluginContract[DockType]):
             require(found == expected, f"after {cut} cycles and a reset the results are those of the first approach")
 
     def test_staging_poses_are_outside_the_dock(self) -> None:
-        """`staging_poses`: at least one in either gear, none at the docked pose, none more than 20 m away."""
+        """`staging_poses`: either gear has at least one pose; none is at the docked pose or more than 20 m away."""
         checked = CheckedDockType(self.ready_plugin())
         for gear in (1.0, -1.0):
             for distance in _DISTANCES:
@@ -535,7 +535,7 @@ class DockTypeContract(PluginContract[DockType]):
                     )
 
     def test_detections_come_from_detections(self) -> None:
-        """`detections`: at most as many as were measured, each with its stamp."""
+        """`detections`: there are at most as many as measured detections, each with the stamp of a measured one."""
         checked = CheckedDockType(self.ready_plugin())
         for measurements in self.sightings():
             given, found = measurements.detections, checked.detections(measurements)

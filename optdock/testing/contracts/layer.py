@@ -71,7 +71,7 @@ class LayerContract(PluginContract[Layer]):
             require(changed == 0, f"{changed} cells outside the window {(min_i, min_j, max_i, max_j)} were written")
 
     def test_every_update_writes_the_costs_again(self) -> None:
-        """`update_costs`, `match_size`, `on_footprint_changed`: costs are written again, on any grid."""
+        """`update_costs`, `match_size`, `on_footprint_changed`: costs are written in every update and on any grid."""
         layer = self._fed()
         first = _written(layer)
         require(np.array_equal(_written(layer), first), "a second update writes the same costs")
@@ -82,7 +82,7 @@ class LayerContract(PluginContract[Layer]):
         require(layer.is_current(), "on another grid the layer is current after an update")
 
     def test_reset_removes_observations(self) -> None:
-        """`reset`: afterwards a clearable layer is like a new layer; other layers write the same costs as before."""
+        """`reset`: a clearable layer then behaves like a new layer; other layers write the same costs as before."""
         layer = self._fed()
         before = _written(layer)
         layer.reset()
@@ -91,7 +91,10 @@ class LayerContract(PluginContract[Layer]):
         require(np.array_equal(after, wanted), "after a reset, the costs are those of a new or an unclearable layer")
 
     def test_flags_are_booleans_and_follow_updates(self) -> None:
-        """`is_clearable`, `is_enabled`, `is_current`: bool; an update makes a layer current unless set to False."""
+        """`is_clearable`, `is_enabled`, `is_current`: the results are bool.
+
+        An update makes a layer current, unless it was set to False.
+        """
         for layer in (self.make_plugin(), self.ready_plugin()):
             for name in ("is_clearable", "is_current", "is_enabled"):
                 found = getattr(layer, name)()

@@ -80,7 +80,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
     is_equivariant: ClassVar[bool] = True
 
     def queries(self) -> tuple[tuple[Pose2, Pose2], ...]:
-        """Return starts and goals for which the planner must find a path."""
+        """Return pairs of start and goal for which the planner must find a path."""
         return ((ORIGIN, GOAL), (Pose2(0.2, -0.8, 0.3), GOAL), (Pose2(-0.5, 1.2, -0.2), Pose2(2.8, 0.0, 0.1)))
 
     def exercise(self, plugin: GlobalPlanner) -> object:
@@ -88,7 +88,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         return sampled(plugin.create_plan(*self.queries()[0]))
 
     def test_the_path_leads_from_start_to_goal_in_their_frame(self) -> None:
-        """`create_plan`: a path of positive length from `start` to `goal`, in the frame of the problem."""
+        """`create_plan`: the path has a positive length and leads from `start` to `goal` in the problem's frame."""
         planner = self.make_plugin()
         planner.configure(scene_context(dataclasses.replace(scene_problem(), frame="contract frame")))
         for start, goal in self.queries():
@@ -110,7 +110,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
                 _require_close(planner.create_plan(_MOTION @ start, _MOTION @ goal), path, _MOTION)
 
     def test_it_stops_when_cancelled_and_plans_again(self) -> None:
-        """`create_plan`: `cancel_checker` is polled; PlannerCancelled if it returned True."""
+        """`create_plan`: `cancel_checker` is polled, and PlannerCancelled is raised if it returned True."""
         planner = self.ready_plugin()
         start, goal = self.queries()[0]
         before = self.exercise(planner)
@@ -118,7 +118,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         require(self.exercise(planner) == before, "after a cancellation, the planner plans as before")
 
     def test_it_fails_by_name(self) -> None:
-        """`create_plan`: PlannerException with a reason if no path is found; no other exception."""
+        """`create_plan`: if no path is found, a PlannerException with a reason is raised, and no other exception."""
         planner, draw = self.ready_plugin(), np.random.default_rng(3)
         odd = [(GOAL, GOAL), (GOAL @ Pose2(1e-9, 0.0, 0.0), GOAL), (Pose2(1e6, -1e6, 9.0), GOAL)]
         odd += [(GOAL @ Pose2(*draw.normal(size=3)), GOAL) for _ in range(12)]
@@ -144,7 +144,7 @@ class SmootherContract(PluginContract[Smoother]):
         return result.completed, sampled(result.path)
 
     def test_the_result_replaces_the_input(self) -> None:
-        """`smooth`: a SmoothingResult with the same ends, gears and frame; the input path is not changed."""
+        """`smooth`: the SmoothingResult has the same ends, gears and frame; the input path is not changed."""
         smoother = self.ready_plugin()
         for given, problem in self.tasks():
             path = given.with_frame(scene_problem().frame)
@@ -165,7 +165,7 @@ class SmootherContract(PluginContract[Smoother]):
             require(gears == wanted, f"the gears remain {wanted}, got {gears}")
 
     def test_obstacles_that_the_path_clears_stay_clear(self) -> None:
-        """`smooth`: no contact with obstacles of the problem or the context, or a refusal with a reason."""
+        """`smooth`: the result touches no obstacle of problem or context, or the path is refused with a reason."""
         path, with_post = bent_path(), scene_problem(obstacles=post_inside_the_bend())
         smoother = self.make_plugin()
         smoother.configure(scene_context(with_post))
@@ -177,7 +177,7 @@ class SmootherContract(PluginContract[Smoother]):
                 require(after >= before - 1e-6, f"a path that cleared all obstacles touches one by {-after:.4f} m")
 
     def test_a_problem_counts_the_same_configured_and_in_the_call(self) -> None:
-        """`problem`: None is the configured problem with all its obstacles; a reported certificate is correct."""
+        """`problem`: None stands for the configured problem and its obstacles; a reported certificate is correct."""
         for top in (-0.08, 0.12):  # obstacles next to the path and on it
             rock = [[1.4, -0.3], [1.6, -0.3], [1.6, top], [1.4, top]]
             problem = scene_problem(obstacles=ObstacleSet.from_polygons([rock]))
@@ -198,7 +198,7 @@ class SmootherContract(PluginContract[Smoother]):
         _require_close(moved, here, _MOTION, 1e-5)  # rounding may end an iteration at another point
 
     def test_a_path_too_short_is_refused_or_returned(self) -> None:
-        """`smooth`: an OptdockError with a reason, or a result with the same ends."""
+        """`smooth`: the call raises an OptdockError with a reason or returns a result with the same ends."""
         smoother = self.ready_plugin()
         for end in (*(Pose2(length, 0.0, 0.0) for length in (1e-6, 1e-3, 0.3)), Pose2(0.0, 0.0, 0.5)):
             path = Path.from_poses([Pose2(0.0, 0.0, 0.0), end])
@@ -207,7 +207,7 @@ class SmootherContract(PluginContract[Smoother]):
                 require_same_ends(result.path, path.start, path.end)
 
     def test_little_time_is_a_time_out_or_a_usable_path(self) -> None:
-        """`max_time`: a usable result or SmootherTimedOut; InvalidValue if negative or not finite."""
+        """`max_time`: little time gives a usable result or SmootherTimedOut; an invalid time gives InvalidValue."""
         smoother = self.ready_plugin()
         for path, problem in self.tasks():
             for max_time in (1e-9, 1e-4):
@@ -219,7 +219,7 @@ class SmootherContract(PluginContract[Smoother]):
                 refused(call, InvalidValue, f"max_time {bad} is refused")
 
     def test_it_stops_when_cancelled_and_smooths_again(self) -> None:
-        """`smooth`: `cancel_checker` is polled; SmootherCancelled if it returned True."""
+        """`smooth`: `cancel_checker` is polled, and SmootherCancelled is raised if it returned True."""
         smoother = self.ready_plugin()
         path, problem = self.tasks()[0]
         before = self.exercise(smoother)
@@ -240,7 +240,7 @@ class SmootherContract(PluginContract[Smoother]):
 
 
 class TimeParameterizerContract(PluginContract[TimeParameterizer]):
-    """Rules of `optdock.plugins.interfaces.TimeParameterizer`; infeasible motions give a status, not an exception."""
+    """Rules of `optdock.plugins.interfaces.TimeParameterizer`; infeasible motions are statuses, not exceptions."""
 
     interface: ClassVar[type[TimeParameterizer]] = TimeParameterizer
 
@@ -294,7 +294,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             require(change <= 1e-6, f"the duration remains {durations[0]} s, changed by {change} s")
 
     def test_infeasible_starts_are_statuses(self) -> None:
-        """`TimingResult`: a status other than OK, with a reason; `limit` and `at_s` if a limit is exceeded."""
+        """`TimingResult`: a status other than OK has a reason; an exceeded limit has `limit` and `at_s`."""
         plugin, path, limits = self.ready_plugin(), straight_drive(ORIGIN).path, MotionLimits()
         starts = {
             "1.2 times the speed limit": (1.2 * limits.max_speed, 0.0),
@@ -314,7 +314,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
                 require(inside, f"at_s is on the path, got {result.at_s}")
 
     def test_a_path_too_short_to_stop_on_has_an_overshoot(self) -> None:
-        """`TimingResult`: CANNOT_STOP with the braking motion and its overshoot; otherwise the overshoot is 0."""
+        """`TimingResult`: CANNOT_STOP has the braking motion and its overshoot; otherwise the overshoot is 0."""
         limits, speed = MotionLimits(), MotionLimits().max_speed
         short = Path.from_poses([ORIGIN, Pose2(_SHORT, 0.0, 0.0)])
         result = self.ready_plugin().parameterize(short, limits, SpeedZone(), start_speed=speed)
@@ -327,7 +327,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         _require_start(result.trajectory, speed, 0.0)
 
     def test_degenerate_paths_and_starts_have_a_status(self) -> None:
-        """`TimingStatus`: FAIL for a turn in place; BAD_START or InvalidValue for NaN; no other exception."""
+        """`TimingStatus`: a turn in place gives FAIL; NaN gives BAD_START or InvalidValue, and no other exception."""
         plugin, path = self.ready_plugin(), straight_drive(ORIGIN).path
         turn = Path.from_poses([ORIGIN, Pose2(0.0, 0.0, 0.5)])
         result = plugin.parameterize(turn, MotionLimits(), SpeedZone())
@@ -346,7 +346,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             require(is_bad, f"speed {v}, acceleration {a} is a bad start, got {found}")
 
     def test_little_time_is_a_status(self) -> None:
-        """`max_time`: TIMED_OUT without a motion if no time is left; a motion found in a short time is certified."""
+        """`max_time`: no time gives TIMED_OUT without a motion; a motion found in a short time is certified."""
         plugin = self.ready_plugin()
         for path, limits, zone, (speed, _) in self.cases():
             for max_time in (0.0, 0.001, 0.01) if speed == 0.0 else ():
@@ -358,7 +358,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
                     _require_certified(result, path, limits, zone)
 
     def test_it_stops_when_cancelled_and_times_again(self) -> None:
-        """`parameterize`: `cancel_checker` is polled; TimingCancelled if it returned True."""
+        """`parameterize`: `cancel_checker` is polled, and TimingCancelled is raised if it returned True."""
         plugin = self.ready_plugin()
         path, limits, zone, _start = next(self.cases())
         before = self.exercise(plugin)

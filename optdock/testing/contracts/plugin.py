@@ -35,7 +35,7 @@ _SAME = 1e-6  # [m], [rad]
 
 
 class ContractBroken(AssertionError):
-    """A plugin breaks a rule of its interface; the message names the rule and the values."""
+    """A plugin violates a rule of its interface; the message names the rule and the values."""
 
 
 def require(holds: object, rule: str) -> None:
@@ -89,7 +89,7 @@ class _PollCounter:
 
 
 def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type[Exception]) -> None:
-    """Require that `run(cancel_checker)` polls, and raises `error` after the first, second or hundredth poll."""
+    """Require that `run(cancel_checker)` polls, and raises `error` after a first, second or hundredth poll."""
     patient = _PollCounter()
     run(patient)
     require(patient.polls >= 1, "the cancel checker is polled at least once")
@@ -147,7 +147,7 @@ class PluginContract(ABC, Generic[P]):
         return plugin
 
     def test_it_is_built_in_one_call(self) -> None:
-        """`Plugin`: an instance of its interface, unconfigured after construction, that rejects unknown parameters."""
+        """`Plugin`: it implements its interface, is unconfigured after construction, and rejects unknown parameters."""
         plugin = self.make_plugin()
         require(isinstance(plugin, self.interface), f"it is a {self.interface.__name__}")
         require(plugin.state is LifecycleState.UNCONFIGURED, "a new plugin is unconfigured")
@@ -174,7 +174,7 @@ class PluginContract(ABC, Generic[P]):
             require(self._outcome(changed) == self._outcome(built), f"{name} = {value} takes effect")
 
     def test_it_works_at_every_stage(self) -> None:
-        """`Plugin`: equal results when inactive, active and configured again; unconfigured, also an OptdockError."""
+        """`Plugin`: results are equal at every stage; without a required context, the plugin raises an OptdockError."""
         plugin = self.make_plugin()
         if self.needs_context:
             refused(lambda: self.exercise(plugin), OptdockError, "an unconfigured plugin raises an OptdockError")
@@ -192,7 +192,7 @@ class PluginContract(ABC, Generic[P]):
         require(self.exercise(plugin) == inactive, "a plugin configured again has the same results as before")
 
     def test_equal_calls_have_equal_results(self) -> None:
-        """`Plugin`: equal results in a second call and in another instance; instances share no state."""
+        """`Plugin`: a second call and another instance give equal results; instances share no state."""
         plugin, other = self.ready_plugin(), self.ready_plugin()
         expected, defaults = self.exercise(plugin), other.parameters.model_dump()
         require(self.exercise(plugin) == expected, "a second call has the same result")

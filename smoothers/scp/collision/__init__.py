@@ -1,1 +1,1 @@
-"""Clearance of the swept footprint: scene, broad phase, narrow phase, linear rows."""
+"""Clearance of the swept footprint: scene, broad phase, narrow phase, linear constraint rows."""

@@ -1,6 +1,6 @@
-"""Broad phase: search for near pairs of interval, body part and obstacle by bounding boxes [Ericson2005].
+"""Broad phase: search by bounding boxes for body parts close to an obstacle in an interval [Ericson2005].
 
-The search first uses axis-aligned boxes of six neighbouring intervals at once, then boxes of each interval, and then
+The search first uses axis-aligned boxes around six neighbouring intervals, then boxes around each interval, and then
 boxes in the frame of the body, which are much tighter around a rotated body.
 """
 
@@ -22,7 +22,7 @@ __all__ = ["Pairs", "broad_phase", "swept_boxes"]
 
 
 class Pairs(NamedTuple):
-    """Interval, body part and obstacle of every near pair, Shape (p,) each."""
+    """Indices of the interval, the body part and the obstacle of every pair found, Shape (p,) each."""
 
     interval: IntArray
     part: IntArray
@@ -30,7 +30,7 @@ class Pairs(NamedTuple):
 
 
 def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, reach: float) -> Pairs:
-    """Return the pairs whose boxes are within `reach` [m]; if they are many, only the nearest of each interval."""
+    """Return the pairs whose boxes are at most `reach` [m] apart; if too many, the nearest pairs of each interval."""
     row, obstacle, apart = _by_world_boxes(scene, _world_boxes(basis, body), reach)
     apart = np.maximum(apart, _in_body_frame(scene, basis, rollout, body, (row, obstacle)))
     near = np.flatnonzero(apart < reach)
@@ -53,7 +53,7 @@ def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, Floa
 def _by_world_boxes(
     scene: Scene, boxes: list[tuple[FloatArray, FloatArray]], reach: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the rows of `boxes` and obstacles within `reach` [m], and their separation.
+    """Return the indices of boxes and obstacles at most `reach` [m] apart, and their separations.
 
     Groups of rows are tested first.
     """
@@ -102,7 +102,7 @@ def _in_body_frame(
 
 
 def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes) -> tuple[Points, Points]:
-    """Return middle and half extent of the area swept by each part, in the left node's frame. Shape (p,) [m]."""
+    """Return centre and half extents of the area swept by each part, in the left node's frame. Shape (p,) [m]."""
     left, shape = basis.left, (-1, len(scene.body.vertices), basis.num_nodes)
     x = body.corners.x.reshape(shape)[..., left + 1] - rollout.poses[left, 0]
     y = body.corners.y.reshape(shape)[..., left + 1] - rollout.poses[left, 1]
@@ -120,7 +120,7 @@ def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes)
 
 
 def _nearest(row: IntArray, apart: FloatArray, scene: Scene) -> BoolArray:
-    """Return a mask of the nearest pairs of each row; additional pairs are kept if they may be too close."""
+    """Return a mask of the nearest pairs of each row; additional pairs are kept if their clearance may be too small."""
     order = np.lexsort((apart, row))
     first = np.searchsorted(row[order], row)  # where the pairs of the same row begin
     rank = np.empty(row.size, dtype=np.int64)

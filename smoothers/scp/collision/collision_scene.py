@@ -23,17 +23,17 @@ __all__ = ["LEAVING", "Body", "BodyAtNodes", "Points", "Requirement", "Scene", "
 
 
 class Points(NamedTuple):
-    """Points or directions, one column per pair: x and y, Shape (k, p) each."""
+    """Points or directions as x and y, Shape (k, p) each, with one column per pair."""
 
     x: FloatArray
     y: FloatArray
 
     def columns(self, chosen: IntArray | BoolArray) -> Points:
-        """Return the chosen pairs."""
+        """Return the columns of the chosen pairs."""
         return Points(self.x[:, chosen], self.y[:, chosen])
 
     def along(self, axis: Points) -> FloatArray:
-        """Return the coordinates of points along one axis per pair, Shape (1, p). Shape (k, p)."""
+        """Return the coordinates of points along the `axis` of each pair, Shape (1, p). Shape (k, p)."""
         heights: FloatArray = axis.x * self.x + axis.y * self.y
         return heights
 
@@ -69,7 +69,7 @@ DOCKING, FULL, LEAVING, UNDOCKING = range(4)
 
 
 class Requirement(NamedTuple):
-    """Required clearance at positions."""
+    """Required clearance at given positions."""
 
     value: FloatArray  # Shape (n,) [m]
     gradient: FloatArray  # by position, Shape (n, 2)
@@ -122,7 +122,7 @@ class Scene:
         return Requirement(value, np.where((rule >= LEAVING)[:, None], away, toward), rule, leaving)
 
     def _taper_slope(self, distance: FloatArray, least: float) -> FloatArray:
-        """Return the slope of the required clearance over the distance from an end that requires `least`, (n,)."""
+        """Return the slope of the required clearance over the distance from an end requiring `least`. Shape (n,)."""
         rule = self.rule
         rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)
@@ -157,7 +157,7 @@ def scene_around(
 
 
 class BodyAtNodes(NamedTuple):
-    """The body at every node."""
+    """Vertices and normals of the body's parts, and the required clearance, at every node."""
 
     corners: Points  # scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m]
     inward: Points  # inward normals of the body's edges, same shape

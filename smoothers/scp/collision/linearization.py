@@ -1,12 +1,12 @@
 """Linearization: selection of active pairs, and their clearance as linear rows that are exact to first order.
 
-Separating planes: a row moves the point of the hull that lies over the obstacle at a tangent coordinate. This point is
-a combination of two hull vertices, possibly at different nodes. Rows that keep whole vertices above a fixed plane would
-also be safe, but would not allow a side to roll around a corner.
+Separating planes: each row constrains the point of the hull above the obstacle at a given tangent coordinate. This
+point is a combination of two hull vertices, possibly at different nodes. Rows that keep whole vertices above a fixed
+plane would also be safe, but would prevent a side of the body from pivoting around the corner of an obstacle.
 
 Covering discs: if the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may point
-to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so neighbouring discs
-along the centre line are pushed to the same side; they have an exact signed distance to the obstacle.
+to opposite sides. The centre line of the body crosses an obstacle only if the overlap is much deeper, so neighbouring
+discs along the centre line are pushed to the same side. The signed distance of a disc to the obstacle is exact.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 
 
 class ActivePairs(NamedTuple):
-    """Ascending indices of the pairs with planes, Shape (n,), and of deeply penetrating ones with discs, Shape (m,)."""
+    """Ascending indices of the pairs with planes, Shape (n,), and of deep overlaps with discs, Shape (m,)."""
 
     separated: IntArray
     penetrating: IntArray
@@ -48,7 +48,7 @@ class ActivePairs(NamedTuple):
 def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) -> ActivePairs:
     """Return all near pairs, or a selection with at most `most` planes.
 
-    While many pairs are in collision, a small obstacle gets planes only in the intervals where the body comes closest.
+    While many pairs are in collision, a small obstacle has planes only in the intervals where the body comes closest.
     The rows of neighbouring intervals are nearly equal and would displace rows of other obstacles.
     """
     settings, worst = scene.settings, float(found.margin.min(initial=np.inf))
@@ -65,7 +65,7 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
-    """Return a mask of the pairs that overlap too deeply to tell on which side of the obstacle the body should be.
+    """Return a mask of the pairs whose overlap is so deep that the correct side of the obstacle is ambiguous.
 
     The mask has Shape (p,). If any overlap is very deep, pairs with a small positive margin are also included.
     """
@@ -98,7 +98,7 @@ class ClearanceRows(NamedTuple):
     node: IntArray
 
     def subset(self, keep: IntArray | BoolArray) -> ClearanceRows:
-        """Return the rows at `keep`."""
+        """Return the rows selected by `keep`."""
         return ClearanceRows(self.gradient[keep], self.gap[keep], self.node[keep])
 
     def lowest(self, most: int) -> ClearanceRows:

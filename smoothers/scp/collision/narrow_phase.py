@@ -11,8 +11,8 @@ the interval it differs from its value at the nearer end by at most (h / 2) * M3
 (1 + |k| r).
 
 The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. The hulls
-over two neighbouring nodes are used as in [Schulman2014]. Arrays hold one pair per column, which makes reductions
-contiguous.
+over two neighbouring nodes are used as in [Schulman2014]. Arrays contain one pair per column, which makes reductions
+contiguous in memory.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _CACHED = 100_000  # numbers, 0.8 MB: blocks of this size stay in the processor'
 
 
 class Clearance(NamedTuple):
-    """Near pairs of robot part and obstacle, and their margins above the required clearance; one column per pair."""
+    """Pairs of a robot part and a nearby obstacle, with margins above the required clearance; one pair per column."""
 
     pairs: Pairs  # interval, part and obstacle
     hull: Points  # swept vertices, those of the left node first, Shape (2v, p) [m]
@@ -90,8 +90,8 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
     """Return the requirement of every hull vertex, which covers all points of the chord between the two nodes.
 
     Every part of the rule is convex in the distance, and the part with the smallest value applies. If the part changes
-    within an interval, the larger value of both ends is safe. Next to the start only the right end is raised, because
-    the left pose is given.
+    within an interval, the larger of the values at both ends is safe. Next to the start only the right end is raised,
+    because the left pose is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
@@ -189,7 +189,7 @@ def _blocks(size: int, count: int) -> Iterator[slice]:
 
 
 def _vertex_axes(hull: Points, outline: Points, fallback: Points) -> tuple[Points, Points]:
-    """Return the direction between the closest vertices, and a normal of the chord of the closest one. Shape (1, p)."""
+    """Return the direction between the closest vertices, and a normal of the closest vertex's chord. Shape (1, p)."""
     vertex, corner = _closest(hull, outline)
     here, there, count = hull.at(vertex), outline.at(corner), hull.x.shape[0]
     other = hull.at((vertex + count // 2) % count)
