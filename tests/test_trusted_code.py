@@ -57,10 +57,10 @@ def lines_of_code(path):
 @pytest.mark.parametrize(
     ("begin", "said"),
     [
-        (("optdock.verification.certify",), r"rests on at most ([\d,]+)\s+lines of code in (\d+) modules"),
+        (("optdock.verification.certify",), r"depends on at most ([\d,]+)\s+lines\s+of\s+code\s+in\s+(\d+)\s+modules"),
         (
             ("optdock.impossibility.proof", "optdock.impossibility.blocked_straight"),
-            r"impossibility\]?\S*\s+on ([\d,]+)\s+in\s+(\d+)",
+            r"impossibility\]?\S*\s+on\s+([\d,]+)\s+lines\s+in\s+(\d+)\s+modules",
         ),
     ],
     ids=["certificates", "proofs of impossibility"],
