@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 import yaml
@@ -13,10 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from harness import Client, Lifecycle, Processes
 from launch_stand_in import PACKAGE, launched
-from nav2_msgs.action import DockRobot, UndockRobot
-
-if TYPE_CHECKING:
-    pass
+from nav2_msgs.action import DockRobot
 
 ROBOTS = ("robot1", "robot2")
 OFFSETS = {"robot1": [0.03, -0.04, 0.05], "robot2": [-0.02, 0.05, -0.04]}  # true docks relative to the stored ones
@@ -58,9 +53,6 @@ def robots(module_process: Processes, client_node: Client, tmp_path_factory: pyt
     for robot in ROBOTS:
         life = Lifecycle(client_node, f"{robot}/docking_server")
         client_node.until(lambda life=life: life.state == "active", what=f"{robot}: active")
-        # Robot and server may need longer to discover each other than a goal waits for its transforms.
-        goal = partial(client_node.send, UndockRobot, f"/{robot}/undock_robot", UndockRobot.Goal())
-        client_node.until(lambda goal=goal: goal().reply().result.success, what=f"{robot}: transforms")
     return client_node
 
 
