@@ -193,7 +193,7 @@ def _refuse_fault(run: Run, left: str) -> None:
 def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations = _USUAL) -> Run:
     """Simulate the plan with the controller of the scenario until its goal checker reports docked.
 
-    At the end, the result of the DockGoalChecker is added, which also checks the heading.
+    The result of the DockGoalChecker, which also checks the heading, is added at the end.
 
     Args:
         scenario: Scenario with a controller and a goal checker.

@@ -167,7 +167,7 @@ class DockEstimate:
 
     @property
     def may_have_turned(self) -> bool:
-        """Whether localization and odometry differ by more than the yaw tolerance since the last detection."""
+        """Whether localization and odometry have diverged by more than the yaw tolerance since the last detection."""
         return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
 
     def will_know(self, left: float) -> bool:

@@ -109,7 +109,7 @@ class SimpleDock(DockType):
         return self._is_charged(measurements)
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return the staging poses in the parameters, for any gear, or else one pose on the axis of the dock."""
+        """Return the staging poses of the parameters, for both gears; without any, one pose on the axis of the dock."""
         p = self.parameters
         if p.staging_poses:
             return tuple(Pose2(*pose) for pose in p.staging_poses)

@@ -245,8 +245,8 @@ class TrajectoryDrive:
     def _reference(self) -> tuple[float, float]:
         """Time of the reference on the clock of the trajectory [s], and its rate.
 
-        For a controller without a reference in time, this is the time at which the plan passes the position of the
-        robot.
+        For a controller that does not follow a time-based reference, this is the time at which the plan passes the
+        position of the robot.
         """
         progress = getattr(self._controller, "progress", None)
         return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))

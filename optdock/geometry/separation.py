@@ -8,8 +8,8 @@ attains the maximum proves it.
 If both polygons have many corners, most edges are skipped. A vertex a of A bounds the gap along every n from above,
 `min_A n.a' - max_B n.b <= n.a - max_B n.b`, so a normal whose bound is below a known gap cannot be the best axis.
 Directions between vertices are evaluated only near the best edges. If A and B are apart, the gap as a function of the
-direction has one maximum. No edge normal lies between this maximum and the better of the two neighbouring normals, so
-both directions have the same nearest vertices.
+direction has one maximum. No edge normal lies between this maximizing direction and the better of the two neighbouring
+normals, so these two directions have the same nearest vertices.
 """
 
 from __future__ import annotations

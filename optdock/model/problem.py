@@ -251,7 +251,7 @@ class DockingProblem(FrozenArrays):
         return moved
 
     def start_state(self, gear: int) -> tuple[float, float]:
-        """Return the start speed [m/s] and acceleration [m/s^2] along the travel of a motion in `gear`, 1 or -1.
+        """Return the start speed [m/s] and acceleration [m/s^2] in the direction of travel in `gear`, 1 or -1.
 
         The gear is used only at rest; otherwise the sign of the speed determines it.
         """

@@ -112,8 +112,8 @@ def load_dock_database(source: str | Path) -> dict[str, DockEntry]:
     """Read a dock database: `docks:`, then by name `type`, `pose: [x, y, yaw]`, and optionally `frame` and `id`.
 
     Raises:
-        InvalidFile: If the file cannot be read, has no docks, or a dock has no type or pose or a wrong value; the
-            message lists all faults.
+        InvalidFile: If the file cannot be read or has no docks, or if a dock has a wrong value or lacks its type or
+            pose; the message lists all faults.
     """
     document = load_yaml(source)
     docks = document.value.get("docks") if isinstance(document.value, Mapping) else None

@@ -258,9 +258,9 @@ def plan_two_segment(
 ) -> TwoSegmentPlan:
     """Compute the raw docking path from `start` to `goal`.
 
-    The resolution of the costmap, or `parameters.resolution` without a costmap, bounds the spacing of poses. With
-    `parameters.check_free_space` the cells under start, goal and curves must be free; points outside the map are not
-    free. `cancel_checker` is polled at least every 5 ms.
+    The resolution of the costmap, or `parameters.resolution` without a costmap, bounds the spacing of poses. If
+    `parameters.check_free_space` is set, the cells under the start, the goal and the curves must be free; points
+    outside the map are not free. `cancel_checker` is polled at least every 5 ms.
 
     Raises:
         PlannerException: If `parameters.check_free_space` is set and there is no costmap.

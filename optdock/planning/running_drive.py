@@ -97,7 +97,7 @@ class RunningDrive:
         return path if moved is None else path.moved(moved)
 
     def move_ahead(self) -> None:
-        """Move the path ahead as a whole to the measured pose of the robot."""
+        """Move the remaining path rigidly, so that it begins at the measured pose of the robot."""
         assert self.state.pose is not None
         self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
         self.now = self.branch_point(0.0)

@@ -92,7 +92,7 @@ class GlobalPlanner(Plugin):
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - used by overrides
     ) -> Iterator[Guess | None]:
-        """Yield several paths, the most promising first; by default the path of `create_plan`.
+        """Yield one or more paths, the most promising first; by default only the path of `create_plan`.
 
         The next path is computed when it is requested. The iterator ends when no further path can have a lower price.
         None marks a pause: the next path takes longer, and the caller may do other work first.

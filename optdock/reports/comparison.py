@@ -115,7 +115,7 @@ def comparison_table(figures: Sequence[PathFigures]) -> str:
 
 
 def comparison_csv(figures: Sequence[PathFigures]) -> str:
-    """Return the figures as CSV; figures that do not exist are empty."""
+    """Return the figures as CSV; the cells of missing figures are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     units = {name: f"_{unit.replace('1/', '1p')}" for name, unit in _UNITS.items()}

@@ -65,7 +65,7 @@ class PlanFileVerdict(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """First violated rule or false value, or the reason why the motion is not proven; empty if certified."""
+        """First violated rule, first incorrect value, or reason why the motion is not proven; empty if certified."""
         unproven = ("samples cannot prove a motion",) if self.outcome == "unproven" else ()
         return next(iter((*self.faults, *self.false_claims, *unproven)), "")
 

@@ -9,7 +9,8 @@ product of a linear term and the speed, such as the jerk |x''| v / 2.
 Every row contains three neighbouring coefficients, so Newton's normal matrix is pentadiagonal. Q, the penalty on jerk
 steps, adds one band. Each iteration is one call of LAPACK's `dpbsv`. The right side of the rows B is convex in c; its
 linearization, which omits the curvature, is an inner approximation as in the convex-concave procedure [Lipp2016]. The
-method of [Wright1997] is used with slacks, S + G = 0, S Z = mu, and separate primal and dual steps.
+method of [Wright1997] is used with slack variables S, where S + G = 0 and S Z = mu, and with separate primal and dual
+steps.
 """
 
 from __future__ import annotations
