@@ -161,6 +161,7 @@ def server_parameters(speed: float, world: str) -> dict[str, object]:
     }
     blocks: dict[str, object] = {
         "use_sim_time": speed > 0.0,
+        "enable_stamped_cmd_vel": True,  # whatever ROS_DISTRO is
         "controller_frequency": FREQUENCY * (speed or 1.0),
         "dock_plugins": ["forward", "backward"],
         "forward": {**kind, "dock_direction": "forward", "dock": {"footprint": text_of(STATION.vertices)}},

@@ -25,6 +25,7 @@ def domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     with pytest.MonkeyPatch.context() as patch, keeper:
         patch.delenv("ROS_LOCALHOST_ONLY", raising=False)
         patch.delenv("ROS_STATIC_PEERS", raising=False)
+        patch.delenv("ROS_DISTRO", raising=False)  # sets the type of cmd_vel, see test_nav2_parameters.py
         for name, value in ours.items():
             patch.setenv(name, value)
         yield number
