@@ -94,5 +94,7 @@ def test_commands_of_one_robot_do_not_reach_the_other(robots: Client) -> None:
         assert f"/{robot}/navigate_to_pose/_action/send_goal" in clients
         assert all(name.startswith(f"/{robot}/") for name in clients)
     shared = {"/tf", "/tf_static", "/diagnostics", "/rosout", "/parameter_events"}
-    names = {name for name, _ in robots.get_topic_names_and_types()}
+    listed = (robots.get_publisher_names_and_types_by_node, robots.get_subscriber_names_and_types_by_node)
+    nodes = ((name, f"/{robot}") for robot in ROBOTS for name in ("docking_server", "simulated_robot"))
+    names = {topic for node in nodes for topics_of in listed for topic, _ in topics_of(*node)}
     assert {name for name in names if not name.startswith(("/robot1/", "/robot2/"))} == shared
