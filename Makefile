@@ -8,6 +8,7 @@ ARGS :=
 BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin
 ROS_DISTRO := kilted
+ROS_WORKERS := 3
 ROS_SUFFIX := $(addprefix -,$(filter-out kilted,$(ROS_DISTRO)))
 ROS_VENV := .venv-ros$(ROS_SUFFIX)
 ROS_BIN := $(ROS_VENV)/bin
@@ -117,7 +118,7 @@ ros-demo: ros-env
 # The types are those of the newer NumPy and rclpy.
 test-ros: ros-env
 	$(if $(ROS_SUFFIX),,$(ROS_BIN)/mypy --config-file ros/mypy.ini)
-	$(ROS_BIN)/python .ci/retry.py --beside "-n 3 --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
+	$(ROS_BIN)/python .ci/retry.py --beside "-n $(ROS_WORKERS) --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done
