@@ -20,10 +20,10 @@ from optdock.io.guarded_file import MostBytes, read_text
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-__all__ = ["ParameterBlock", "blocks_of", "missing_parameters"]
+__all__ = ["FileBlock", "blocks_of", "missing_parameters"]
 
 
-class ParameterBlock(NamedTuple):
+class FileBlock(NamedTuple):
     """File, node (a full name, or a pattern with `*` and `**`) and names of the parameters of a block."""
 
     file: str
@@ -36,27 +36,27 @@ class ParameterBlock(NamedTuple):
         return re.fullmatch(pattern, node) is not None
 
 
-def blocks_of(arguments: Sequence[str]) -> list[ParameterBlock]:
+def blocks_of(arguments: Sequence[str]) -> list[FileBlock]:
     """Return the blocks of all files that follow `--params-file` on a command line."""
     files = [value for flag, value in pairwise(arguments) if flag == "--params-file"]
-    found: list[ParameterBlock] = []
+    found: list[FileBlock] = []
     for file in files:
         with suppress(OptdockError, yaml.YAMLError):  # rcl reports it
             found += _blocks(file, "", yaml.safe_load(read_text(Path(file), MostBytes.YAML)))
     return found
 
 
-def _blocks(file: str, path: str, value: object) -> Iterator[ParameterBlock]:
+def _blocks(file: str, path: str, value: object) -> Iterator[FileBlock]:
     for key, inner in value.items() if isinstance(value, Mapping) else ():
         if key == "ros__parameters":
             names = inner if isinstance(inner, Mapping) else ()
-            yield ParameterBlock(file, path, frozenset(str(name).partition(".")[0] for name in names))
+            yield FileBlock(file, path, frozenset(str(name).partition(".")[0] for name in names))
         else:
             yield from _blocks(file, f"{path}/{str(key).strip('/')}", inner)
 
 
 def missing_parameters(
-    blocks: Collection[ParameterBlock], node: str, known: Collection[str], shared: Collection[str]
+    blocks: Collection[FileBlock], node: str, known: Collection[str], shared: Collection[str]
 ) -> tuple[str, bool]:
     """Return why no block has parameters of a node, and whether the node has some in another namespace.
 

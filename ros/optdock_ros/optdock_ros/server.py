@@ -36,7 +36,7 @@ from optdock_ros.nested_parameters import (
     declare_overrides,
     parameters_of,
 )
-from optdock_ros.parameter_files import ParameterBlock, blocks_of, missing_parameters
+from optdock_ros.parameter_files import FileBlock, blocks_of, missing_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -92,7 +92,7 @@ class Server(LifecycleNode, Generic[S]):
         declare_overrides(self, given)
         declare(self, self.Parameters)
         self.owns_process = False
-        self.files: list[ParameterBlock] = []
+        self.files: list[FileBlock] = []
         self._has_begun = False  # whether there is something to tear down
         self._is_configured = False
         self.is_active = False
