@@ -147,13 +147,14 @@ def bay(module_process: Processes, client_node: Client) -> Bay:
 
 def test_goal_right_after_activation_waits_for_the_robot(process: Processes, client_node: Client) -> None:
     """As on a busy computer, on which the server has not discovered the publishers yet."""
-    process("docking_server", params=SERVER)
-    Lifecycle(client_node, "docking_server").up()
+    apart = ("-r", "__ns:=/early", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static")
+    process("docking_server", params=SERVER, args=apart)
+    Lifecycle(client_node, "early/docking_server").up()
     request = DockRobot.Goal(dock_id="home", navigate_to_staging_pose=False)
-    goal = client_node.send(DockRobot, "dock_robot", request)
+    goal = client_node.send(DockRobot, "early/dock_robot", request)
     time.sleep(3.0)  # longer than the wait for messages of known publishers
     assert not goal.is_done, goal.reply().result
-    process("simulated_robot", params={"start": NEAR})
+    process("simulated_robot", params={"start": NEAR}, args=apart)
     reply = goal.reply(40.0)
     assert (reply.status, reply.result.error_code) == (SUCCEEDED, 0), reply.result
 
@@ -200,7 +201,8 @@ def test_a_docking_and_an_undocking(bay: Bay) -> None:
 
 
 def test_docked_robot_stays_and_undocks(bay: Bay) -> None:
-    """Continues the previous test."""
+    bay.reset()
+    assert bay.dock().reply(40.0).result.success
     again = bay.dock().reply()
     assert (again.status, again.result.success) == (SUCCEEDED, True)
     assert "already" in again.result.error_msg
