@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["count_cpu"]
 
-_CLOCKS: list[Callable[[], float]] = [time.monotonic, time.process_time]  # defaults that may be replaced
+_CLOCKS: set[Callable[[], float]] = {time.monotonic, time.process_time}  # defaults that may be replaced
 
 
 def count_cpu(rate: float = 1.0) -> None:
@@ -24,8 +24,8 @@ def count_cpu(rate: float = 1.0) -> None:
         rate: Speed of the clock. With 0.25 every time limit, also those that are fixed in the code, allows four times
             its CPU time.
     """
-    clock = time.process_time if rate == 1.0 else functools.partial(_scaled, rate)
-    _CLOCKS.append(clock)
+    clock = _clock(rate)
+    _CLOCKS.add(clock)
     for function in (Deadline.__init__, Deadline.of_allowance.__func__, PluginContext.__init__):  # type: ignore[attr-defined]
         defaults = function.__defaults__ or ()
         changed = tuple(clock if value in _CLOCKS else value for value in defaults)
@@ -34,5 +34,6 @@ def count_cpu(rate: float = 1.0) -> None:
         function.__defaults__ = changed
 
 
-def _scaled(rate: float) -> float:
-    return rate * time.process_time()
+@functools.cache
+def _clock(rate: float) -> Callable[[], float]:
+    return time.process_time if rate == 1.0 else lambda: rate * time.process_time()

@@ -22,7 +22,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, PoseStamped, TwistStamped
 from nav2_msgs.msg import Costmap
 from nav_msgs.msg import Odometry
-from optdock_ros.simulated_robot import CHARGED, LATCHED, MARKER_FACES, points_along, quaternion, stamped
+from optdock_ros.simulated_robot import LATCHED, MARKER_FACES, battery_state, quaternion, stamped, surroundings
 from optdock_ros.simulation_parameters import about_z
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -36,8 +36,6 @@ from experiments.docking.field.run import set_up
 from optdock import ros, simulation
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, transform_points
-from optdock.model.costmap import Costmap as Grid
-from optdock.model.costs import LETHAL
 from optdock.model.dock import DockDirection
 from optdock.ros.transforms import quaternion_product
 
@@ -51,6 +49,7 @@ TOLERANCE = 1.0  # [s] by which AMCL stamps its transform into the future: Nav2'
 CELL, SIDE = 0.05, 120  # [m], cells: a costmap of 6 m that contains the robot and the dock
 EVERY = {"costmap": 0.2, "battery": 0.1, "report": 0.1}  # [s]
 DELAY = 0.5  # [s] from contact to charging
+BATTERY = {"battery.idle_current": -1.0, "battery.charging_current": 2.0}  # [A]
 SUBSTEPS = 4  # between two poses whose clearance is measured: 20 ms, 5 mm at full speed
 
 
@@ -151,15 +150,9 @@ class FieldRobotNode(Node):
 
     def _publish_costmap(self, here: Pose2) -> None:
         """Publish obstacles and outline at the pose of the odometry, with the time at which the scanner saw them."""
-        robot, posts = self._robot, self._layout.problem.obstacles.vertices
+        posts = self._layout.problem.obstacles.vertices
         outlines = np.concatenate((posts, self._station()[None]))
-        seen = transform_points((here @ robot.pose.inverse()).as_array()[None], outlines.reshape(-1, 2))[0]
-        corner = math.floor(here.x / CELL) - SIDE // 2, math.floor(here.y / CELL) - SIDE // 2
-        cells = np.zeros((SIDE, SIDE), dtype=np.uint8)
-        columns, rows = (np.floor(points_along(seen.reshape(outlines.shape), CELL) / CELL).astype(int) - corner).T
-        inside = (columns >= 0) & (columns < SIDE) & (rows >= 0) & (rows < SIDE)
-        cells[rows[inside], columns[inside]] = LETHAL
-        grid = Grid(cells, CELL, (corner[0] * CELL, corner[1] * CELL))
+        grid = surroundings(outlines, here, self._robot.pose, CELL, SIDE)
         stamp = self._epoch + self._stamp
         self._costmap.publish(ros.costmap_message(ros.imported, grid, "odom", stamp))
         outline = transform_points(here.as_array()[None], self._layout.problem.robot.footprint.vertices)[0]
@@ -168,12 +161,7 @@ class FieldRobotNode(Node):
     def _publish_battery(self) -> None:
         since, time_now = self._contact_since, self._robot.time
         charges = since is not None and time_now - since >= DELAY
-        current, status = -1.0, BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
-        if charges:
-            current, status = 2.0, BatteryState.POWER_SUPPLY_STATUS_CHARGING
-        message = stamped(BatteryState, self._epoch + time_now, present=True, voltage=24.0, percentage=CHARGED)
-        message.current, message.power_supply_status = current, status
-        self._battery.publish(message)
+        self._battery.publish(battery_state(BATTERY, self._epoch + time_now, charges=charges))
 
     def _publish_report(self) -> None:
         robot, problem = self._robot, self._layout.problem

@@ -29,13 +29,7 @@ from optdock.errors import InvalidValue, OptdockError
 from optdock.nav2.declared_parameters import Block, names_of
 from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
-from optdock_ros.nested_parameters import (
-    BlockReader,
-    ServerParameters,
-    declare,
-    declare_overrides,
-    parameters_of,
-)
+from optdock_ros.nested_parameters import BlockReader, ServerParameters, declare, declare_overrides, parameters_of
 from optdock_ros.parameter_files import FileBlock, blocks_of, missing_parameters
 
 if TYPE_CHECKING:

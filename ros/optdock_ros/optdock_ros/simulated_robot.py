@@ -297,7 +297,9 @@ class SimulatedRobotNode:
         """Publish the outline and, like Nav2, the whole window after it has moved, otherwise the changed part."""
         values, here = self._world.values, self._odometry
         cell = float(values["costmap.resolution"])
-        window = self._surroundings(cell, round(values["costmap.size"] / cell))
+        window = surroundings(
+            self._seen.vertices, here, self._robot.state.pose, cell, round(values["costmap.size"] / cell)
+        )
         before, self._window = self._window, window
         if before is None or before.origin != window.origin or before.data.shape != window.data.shape:
             self._topics.costmap.publish(ros.costmap_message(ros.imported, window, frame, stamp))
@@ -310,19 +312,6 @@ class SimulatedRobotNode:
             self._topics.costmap_updates.publish(part)
         outline = transform_points(here.as_array()[None], self._world.problem.robot.footprint.vertices)[0]
         self._topics.footprint.publish(ros.polygon_message(ros.imported, outline, frame, stamp))
-
-    def _surroundings(self, cell: float, side: int) -> Grid:
-        """Return the obstacles seen from the true pose, placed relative to the pose of the odometry."""
-        here, outlines = self._odometry, self._seen.vertices
-        corner = math.floor(here.x / cell) - side // 2, math.floor(here.y / cell) - side // 2
-        cells = np.zeros((side, side), dtype=np.uint8)
-        if len(outlines):
-            believed = here @ self._robot.state.pose.inverse()
-            seen = transform_points(believed.as_array()[None], outlines.reshape(-1, 2))[0].reshape(outlines.shape)
-            columns, rows = (np.floor(points_along(seen, cell) / cell).astype(int) - corner).T
-            inside = (columns >= 0) & (columns < side) & (rows >= 0) & (rows < side)
-            cells[rows[inside], columns[inside]] = LETHAL
-        return Grid(cells, cell, (corner[0] * cell, corner[1] * cell))
 
     def _publish_report(self, stamp: float) -> None:
         poses = np.array([pose.as_array() for pose in self._poses])
@@ -414,6 +403,27 @@ def battery_state(values: Mapping[str, Any], stamp: float, *, charges: bool) -> 
         name, status = "battery.charging_current", BatteryState.POWER_SUPPLY_STATUS_CHARGING
     message.current, message.power_supply_status = float(values[name]), status
     return message
+
+
+def surroundings(outlines: FloatArray, here: Pose2, true: Pose2, cell: float, side: int) -> Grid:
+    """Return the obstacles that are seen from the true pose, in a window around the pose of the odometry.
+
+    Args:
+        outlines: Polygons in the frame of the true pose, shape (m, k, 2) [m].
+        here: Pose of the robot by the odometry.
+        true: True pose.
+        cell: Side length of a cell [m].
+        side: Cells per side of the window.
+    """
+    corner = math.floor(here.x / cell) - side // 2, math.floor(here.y / cell) - side // 2
+    cells = np.zeros((side, side), dtype=np.uint8)
+    if len(outlines):
+        believed = here @ true.inverse()
+        seen = transform_points(believed.as_array()[None], outlines.reshape(-1, 2))[0].reshape(outlines.shape)
+        columns, rows = (np.floor(points_along(seen, cell) / cell).astype(int) - corner).T
+        inside = (columns >= 0) & (columns < side) & (rows >= 0) & (rows < side)
+        cells[rows[inside], columns[inside]] = LETHAL
+    return Grid(cells, cell, (corner[0] * cell, corner[1] * cell))
 
 
 def points_along(outlines: FloatArray, step: float) -> FloatArray:
