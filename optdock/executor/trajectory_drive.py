@@ -279,11 +279,11 @@ class TrajectoryDrive:
             if self._is_stop:
                 raise Interrupted("stopped", "no certified continuation exists from the current state")
             self._finished_since = self._finished_since if self._finished_since is not None else now
-            if self._state is State.UNDOCKING and not situation.staging.has_arrived_at(
-                (self._goal,), is_undocking=True
-            ):
-                return now - self._finished_since > settings.settling_time
-            return not self._is_approach or now - self._finished_since > settings.settling_time
+            settles = self._is_approach or (
+                self._state is State.UNDOCKING
+                and not situation.staging.has_arrived_at((self._goal,), is_undocking=True)
+            )
+            return not settles or now - self._finished_since > settings.settling_time
         self._finished_since = None
         best, since = self._progress
         if time > best + _PROGRESS:
