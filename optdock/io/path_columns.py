@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
@@ -24,7 +24,15 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Number", "PathColumns", "check_sampled_curvature", "path_columns", "path_from_columns"]
+__all__ = [
+    "Number",
+    "PathColumns",
+    "check_sampled_curvature",
+    "curves_of",
+    "path_columns",
+    "path_from_columns",
+    "path_from_curves",
+]
 
 logger = logging.getLogger(__name__)
 
@@ -77,6 +85,7 @@ class _TurnColumns(_Columns):
 
 
 _Curve: TypeAlias = _Clothoid | _Polyline | _TurnColumns
+_CURVES: TypeAdapter[list[_Curve]] = TypeAdapter(list[_Curve])
 
 
 class PathColumns(_Columns):
@@ -95,7 +104,25 @@ def path_columns(path: Path, spacing: float) -> dict[str, object]:
     """Return samples of a path, at most `spacing` [m] apart, and its exact curves as plain JSON values."""
     samples = path.sample(spacing)
     columns: dict[str, object] = {name: column.tolist() for name, column in samples._asdict().items()}
-    return {**columns, "segments": [_curve(segment) for segment in path.segments]}
+    return {**columns, "segments": curves_of(path)}
+
+
+def curves_of(path: Path) -> list[Json]:
+    """Return the exact curves of a path as plain JSON values."""
+    return [_curve(segment) for segment in path.segments]
+
+
+def path_from_curves(curves: Sequence[object], frame: str = "") -> Path:
+    """Return the path of the result of `curves_of`.
+
+    Raises:
+        InvalidFile: If a curve is invalid.
+    """
+    try:
+        parsed = _CURVES.validate_python(curves)
+    except ValidationError as error:
+        raise InvalidFile(f"curves of a path: {error.errors()[0]['msg']}") from error
+    return Path(tuple(_segment(curve) for curve in parsed), frame)
 
 
 def _curve(segment: Segment) -> Json:

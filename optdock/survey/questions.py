@@ -1,0 +1,237 @@
+"""Answers to questions of one tile of a survey, computed by a worker.
+
+A question is a start pose at rest. It is answered by the first of these methods that succeeds:
+
+1. The motion of an answered neighbour, or the rest of a motion from the pose on it that is nearest to the new start,
+   deformed to the new start (`deformation`), certified and timed.
+2. A proof of impossibility of a neighbour, checked for the new start.
+3. `plan_dock`.
+
+Every certified motion also answers the poses that it passes (`passed_cells`).
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.deadline import Deadline
+from optdock.errors import NoMotionExists, OptdockError
+from optdock.geometry.pose import Pose2, wrap_angles
+from optdock.impossibility import check_impossibility, impossibility_from_dict
+from optdock.io.path_columns import curves_of, path_from_curves
+from optdock.planners.manoeuvres.price import stops
+from optdock.planning.deformation import deformed
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.plan import PartialPlan
+from optdock.planning.refinement import Cancellation, Refinement
+from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
+from optdock.plugins.registry import plugin_from
+from optdock.survey.tails import PassedCells, passed_cells
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from optdock.config import Scenario
+    from optdock.geometry.arrays import FloatArray
+    from optdock.impossibility import NoMotionProof
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.planning.plan import DockPlan
+    from optdock.survey.grid import SurveyGrid
+
+__all__ = ["Answer", "Tile", "answer_tile", "deformed_plan", "proven_plan"]
+
+_DEFORMED_FROM = 5  # nearest motions that are tried
+_SPACING = 0.1  # [m] between the poses of a motion from which its rest may be deformed
+_FARTHEST = 1.5  # [m] of a neighbour; a step of 22.5 degrees counts as `_TURN` metres
+_TURN = 0.5 / (math.pi / 8.0)  # [m/rad]
+_MOST_STEPS = 6  # deformations one after the other; then a motion is planned again
+# A deformed motion may cost this much more than that of the neighbour, as a factor and in seconds; then it is planned
+# anew. 0.4 m at 0.3 m/s take 1.3 s.
+_DEARER = (1.1, 1.5)
+
+
+class Answer(NamedTuple):
+    """Answer to one question.
+
+    Attributes:
+        cell: Flat index of the cell.
+        verdict: `certified`, `impossible` or `not found`.
+        method: `planned`, `deformed` or `proven`; `proven` belongs to `impossible`.
+        seconds: Duration of the motion [s].
+        cusps: Number of stops on the way.
+        price: Price by which motions are compared [s], see `DockPlan.price`.
+        margin: Proven lower bound of clearance minus required clearance [m].
+        reason: Reason of a refusal; stage of the guess of a planned motion.
+        motion: Curves of the path, and durations and jerks of the phases; None unless certified.
+        proof: Index of the proof among the proofs of the tile; -1 unless impossible.
+        steps: Number of deformations since the planned motion.
+    """
+
+    cell: int
+    verdict: str
+    method: str
+    seconds: float = math.nan
+    cusps: int = 0
+    price: float = math.inf
+    margin: float = math.nan
+    reason: str = ""
+    motion: Mapping[str, object] | None = None
+    proof: int = -1
+    steps: int = 0
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Questions of one part of a survey, and known answers near it.
+
+    Args:
+        scenario: Problem and plugins; its start is not used.
+        grid: The cells.
+        cells: Flat indices of the cells whose centres are the questions.
+        time_budget: Time for one question [s].
+        motions: Certified answers near the tile.
+        proofs: Proofs of impossibility, as plain values, that are tried.
+        passes: Whether to return the cells that the motions pass.
+    """
+
+    scenario: Scenario
+    grid: SurveyGrid
+    cells: Sequence[int]
+    time_budget: float
+    motions: Sequence[Answer] = ()
+    proofs: Sequence[Mapping[str, object]] = ()
+    passes: bool = True
+
+
+class _Known(NamedTuple):
+    """A certified motion: its path with sampled poses, its price, and the number of deformations since its plan.
+
+    `s`: path coordinates of the samples [m]. `poses`: Shape (n, 3).
+    """
+
+    path: Path
+    price: float
+    steps: int
+    s: FloatArray
+    poses: FloatArray
+
+    @classmethod
+    def of(cls, path: Path, price: float, steps: int, last: float) -> _Known:
+        """Return a motion with samples before the last `last` metres."""
+        s = np.linspace(0.0, max(path.length - last, 0.0), 2 + int(path.length / _SPACING))[:-1]
+        return cls(path, price, steps, s, path.poses_at(s))
+
+
+@dataclass
+class _Work:
+    """Answers of a tile so far."""
+
+    tile: Tile
+    known: list[_Known] = field(default_factory=list)
+    proofs: list[NoMotionProof] = field(default_factory=list)
+    passed: list[PassedCells] = field(default_factory=list)
+
+    def answer(self, cell: int, pose: FloatArray) -> Answer:
+        problem = self.tile.scenario.problem.starting_at(Pose2.from_sequence(pose))
+        for number, proof in enumerate(self.proofs):
+            if check_impossibility(proof, problem):
+                return Answer(cell, "impossible", "proven", reason=proof.message, proof=number)
+        plan, steps = self._deformed(pose, problem)
+        if plan is None:
+            try:
+                plan = plan_dock(
+                    problem,
+                    time_budget=self.tile.time_budget,
+                    planner=self.tile.scenario.planner,
+                    smoother=self.tile.scenario.smoother,
+                    timing=self.tile.scenario.timing,
+                )
+            except NoMotionExists as error:
+                self.proofs.append(error.proof)
+                return Answer(cell, "impossible", "proven", reason=str(error), proof=len(self.proofs) - 1)
+            except OptdockError as error:
+                return Answer(cell, "not found", "planned", reason=f"{type(error).__name__}: {error}")
+        self.known.append(_Known.of(plan.path, plan.price, steps, problem.dock.final_straight))
+        if self.tile.passes:
+            self.passed.append(passed_cells(plan, self.tile.grid))
+        law = plan.trajectory.time_law
+        motion = {
+            "curves": curves_of(plan.path),
+            "durations": law.durations.tolist(),
+            "jerks": law.jerks.tolist(),
+        }
+        method, margin = ("deformed" if steps else "planned"), plan.certificate.margin
+        return Answer(
+            cell, "certified", method, law.duration, stops(plan.path), plan.price, margin, plan.stage, motion, -1, steps
+        )
+
+    def _deformed(self, pose: FloatArray, problem: DockingProblem) -> tuple[DockPlan | None, int]:
+        """Return the cheapest plan along the deformed path of a neighbour, and its number of deformations."""
+        near = [one for one in self.known if one.steps < _MOST_STEPS]
+        if not near:
+            return None, 0
+        gaps = np.concatenate([one.poses for one in near]) - pose
+        far = np.hypot(gaps[:, 0], gaps[:, 1]) + _TURN * np.abs(wrap_angles(gaps[:, 2]))
+        ends = np.cumsum([one.s.size for one in near])
+        nearest = [int(part.argmin()) for part in np.split(far, ends[:-1])]
+        off = np.array([part[row] for part, row in zip(np.split(far, ends[:-1]), nearest, strict=True)])
+        factor, more = _DEARER
+        for row in np.argsort(off, kind="stable")[:_DEFORMED_FROM].tolist():
+            if off[row] > _FARTHEST:
+                break
+            one, s = near[row], float(near[row].s[nearest[row]])
+            rest = one.path if s == 0.0 else one.path.piece(s)
+            plan = deformed_plan(rest, problem, self.tile.scenario, self.tile.time_budget)
+            if plan is not None and plan.price <= factor * one.price + more:
+                return plan, one.steps + 1
+        return None, 0
+
+
+def deformed_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_budget: float) -> DockPlan | None:
+    """Return the certified plan along a path deformed to the start of the problem, or None."""
+    moved = deformed(
+        path,
+        problem.start,
+        problem.goal,
+        problem.robot.limits,
+        final_straight=problem.dock.final_straight,
+        steers=False,
+    )
+    return None if moved is None else proven_plan(moved, problem, scenario, time_budget)
+
+
+def proven_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_budget: float) -> DockPlan | None:
+    """Return the certified plan along a path that needs no smoothing, or None."""
+    smoother = plugin_from(Smoother, scenario.smoother, "smoother")
+    timing = plugin_from(TimeParameterizer, scenario.timing, "timing")
+    limits = Cancellation(never_cancelled), time_budget, Deadline(time_budget), dict[str, float]()
+    with suppress(OptdockError):
+        return Refinement(problem, smoother, timing, None, *limits).proven(path, path, PartialPlan())
+    return None
+
+
+def answer_tile(tile: Tile) -> dict[str, object]:
+    """Answer the questions of a tile in their order.
+
+    Returns:
+        Plain JSON values: `answers`, the proofs of impossibility, and the passed cells as columns.
+    """
+    work = _Work(tile, proofs=[impossibility_from_dict(values) for values in tile.proofs])
+    for answer in tile.motions:
+        if answer.motion is not None:
+            path = path_from_curves(answer.motion["curves"], tile.scenario.problem.frame)  # type: ignore[arg-type]
+            last = tile.scenario.problem.dock.final_straight
+            work.known.append(_Known.of(path, answer.price, answer.steps, last))
+    poses = tile.grid.poses(np.asarray(tile.cells, dtype=np.int64))
+    answers = [work.answer(cell, pose) for cell, pose in zip(tile.cells, poses, strict=True)]
+    return {
+        "answers": [answer._asdict() for answer in answers],
+        "proofs": [proof.as_dict() for proof in work.proofs],
+        "passed": PassedCells.joined(work.passed).as_dict(),
+    }
