@@ -54,6 +54,7 @@ def run_cases(
     cases: Iterable[Case],
     *,
     workers: Workers,
+    shared: tuple[Any, ...] = (),
     store: OutcomeStore | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[Outcome]:
@@ -68,6 +69,8 @@ def run_cases(
             lists, tuples, strings, finite numbers, booleans and None.
         cases: The cases, possibly a generator.
         workers: The processes to use, as an open context.
+        shared: First arguments of the function in every case, such as the map and the robot. Each process restores them
+            once, so that data that is cached in them is computed once per process.
         store: File of outcomes. The cases that it already contains are not computed again.
         progress: Called with the key of each case that is finished.
 
@@ -76,7 +79,7 @@ def run_cases(
         InvalidFile: If an outcome cannot be stored.
         OptdockError: If the connection to the scheduler of the cluster is lost.
     """
-    run = _Run(function, iter(cases), workers, store, progress)
+    run = _Run(workers.task(function, shared), iter(cases), workers, store, progress)
     try:
         while run.fill():
             yield from run.ready()
@@ -91,13 +94,13 @@ class _Run:
 
     def __init__(
         self,
-        function: Callable[..., object],
+        submit: Callable[[Case], Future[Outcome]],
         cases: Iterator[Case],
         workers: Workers,
         store: OutcomeStore | None,
         progress: Callable[[str], None] | None,
     ) -> None:
-        self.function, self.workers, self.store, self.progress = function, workers, store, progress
+        self.submit, self.workers, self.store, self.progress = submit, workers, store, progress
         self.running: dict[Future[Outcome], Case] = {}
         self._cases = cases
         self._known: set[str] = set()
@@ -146,7 +149,7 @@ class _Run:
         if known is not None:
             self._finish(known)
             return
-        future = self.workers.submit(self.function, case)
+        future = self.submit(case)
         self.running[future] = case
         future.add_done_callback(self._ended.put)
 
@@ -162,7 +165,7 @@ class _Run:
         self.running.clear()
         self.workers.restart()
         for case in suspects:
-            outcome = _outcome(self.workers.submit(self.function, case), case)
+            outcome = _outcome(self.submit(case), case)
             if outcome is None:
                 outcome = Outcome(case.key, error=_KILLED_TWICE)
                 self.workers.restart()

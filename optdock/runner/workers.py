@@ -6,12 +6,14 @@ import functools
 import json
 import multiprocessing
 import os
+import pickle
+import secrets
 import signal
 import threading
 import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from optdock import __version__
 from optdock.deadline import ClockName, budget_clock
@@ -69,7 +71,7 @@ class Workers:
     ) -> None:
         if count is not None and (count < 1 or scheduler is not None):
             raise InvalidValue(f"workers: count must be at least 1, and not given with a scheduler, got {count}")
-        self.count = 1 if scheduler is not None else count or len(os.sched_getaffinity(0))
+        self.count = 1 if scheduler is not None else count or _cores()
         self.scheduler, self.clock = scheduler, clock
         self._prepare = prepare
         self._executor: Executor | None = None
@@ -111,20 +113,35 @@ class Workers:
             self.count, self._counted_at = max(1, len(self._client.nthreads())), time.monotonic()
         return 1 if isinstance(self._executor, _ThisProcess) else _AHEAD * self.count
 
-    def submit(self, function: Callable[..., object], case: Case) -> Future[Outcome]:
-        """Return the future outcome of a case.
+    def task(self, function: Callable[..., object], shared: tuple[Any, ...]) -> Callable[[Case], Future[Outcome]]:
+        """Return a function that submits a case and returns its future outcome.
+
+        Args:
+            function: Function to compute.
+            shared: First arguments of the function in every case.
 
         Raises:
             InvalidValue: If the context has not been entered.
         """
         if self._executor is None:
             raise InvalidValue("workers: are not running; use them as a context: 'with Workers() as workers:'")
-        try:
-            return self._executor.submit(_computed, function, case, self.clock, self._prepare)
-        except BrokenProcessPool as error:
-            lost: Future[Outcome] = Future()
-            lost.set_exception(error)
-            return lost
+        how = _How(function, self.clock, self._prepare, secrets.token_hex(8))
+        content: Any = shared
+        if not isinstance(self._executor, _ThisProcess):
+            content = pickle.dumps(shared)
+        if self._client is not None:
+            content = self._client.scatter(content, broadcast=True, hash=False)
+
+        def submit(case: Case) -> Future[Outcome]:
+            assert self._executor is not None
+            try:
+                return self._executor.submit(_computed, how, content, case)
+            except BrokenProcessPool as error:
+                lost: Future[Outcome] = Future()
+                lost.set_exception(error)
+                return lost
+
+        return submit
 
     def restart(self) -> None:
         """Replace the processes of this machine by new ones."""
@@ -163,17 +180,25 @@ def _end_with(alive: Connection) -> None:
     threading.Thread(target=watch, name="optdock-end", daemon=True).start()
 
 
-def _computed(
-    function: Callable[..., object], case: Case, clock: ClockName, prepare: Callable[[], object] | None
-) -> Outcome:
+class _How(NamedTuple):
+    """How the cases of a run are computed; `run` identifies the run."""
+
+    function: Callable[..., object]
+    clock: ClockName
+    prepare: Callable[[], object] | None
+    run: str
+
+
+def _computed(how: _How, shared: tuple[Any, ...] | bytes, case: Case) -> Outcome:
     """Compute a case in a worker; its value is converted to JSON and back, so that resumed outcomes are the same."""
     with _ONE_AT_A_TIME:
-        if prepare is not None:
-            _prepared(prepare)
-        with budget_clock(clock):
+        if how.prepare is not None:
+            _prepared(how.prepare)
+        first = _restored(how.run, shared) if isinstance(shared, bytes) else shared
+        with budget_clock(how.clock):
             began, value, error = time.process_time(), None, ""
             try:
-                value = json.loads(json.dumps(function(*case.arguments), allow_nan=False))
+                value = json.loads(json.dumps(how.function(*first, *case.arguments), allow_nan=False))
             except (Exception, SystemExit) as raised:
                 error = f"{type(raised).__name__}: {' '.join(str(raised).split())}"
             return Outcome(case.key, value, error, time.process_time() - began)
@@ -182,6 +207,23 @@ def _computed(
 @functools.cache
 def _prepared(prepare: Callable[[], object]) -> None:
     prepare()
+
+
+_RESTORED: dict[str, tuple[Any, ...]] = {}  # shared arguments of the latest run
+
+
+def _restored(run: str, shared: bytes) -> tuple[Any, ...]:
+    """Return the shared arguments of a run, which are restored once."""
+    if run not in _RESTORED:
+        _RESTORED.clear()
+        _RESTORED[run] = pickle.loads(shared)
+    return _RESTORED[run]
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # missing on some systems
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def _client(scheduler: str) -> Any:  # noqa: ANN401 - dask has no types

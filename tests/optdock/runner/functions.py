@@ -56,3 +56,26 @@ def not_json(number):
 def process_of_case(number, pause):
     time.sleep(pause)
     return [number, os.getpid()]
+
+
+class Counted:
+    """An object that counts how often it is restored in this process."""
+
+    restored = 0
+
+    def __setstate__(self, state):
+        type(self).restored += 1
+
+
+def restored(_, number):
+    """Return the process, and how often the shared object has been restored in it."""
+    return [number, os.getpid(), Counted.restored]
+
+
+def planned(problem, *start):
+    """Return the digest of a plan and its counted times."""
+    from optdock.geometry.pose import Pose2  # the other functions need no libraries
+    from optdock.planning.pipeline import plan_dock
+
+    plan = plan_dock(problem.starting_at(Pose2(*start)), time_budget=0.1)
+    return [plan.path.digest, plan.timing_ms]

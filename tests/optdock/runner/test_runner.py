@@ -6,10 +6,12 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
 
+from optdock.config import load_scenario
 from optdock.deadline import TICK, clock_name
 from optdock.errors import InvalidFile, InvalidValue, MissingExtra, OptdockError
 from optdock.runner import Case, Outcome, OutcomeStore, Workers, run_cases, run_head
@@ -109,6 +111,23 @@ def test_a_process_computes_one_case_at_a_time(cluster, tmp_path):
     assert found == [False] * COUNT
 
 
+def test_shared_arguments_are_restored_once_per_process(pair, cluster):
+    shared = functions.Counted()
+    shared.content = bytes(10)
+    with cluster.workers() as remote:
+        for workers in (pair, remote):
+            outcomes = run_cases(functions.restored, cases(), workers=workers, shared=(shared,))
+            found = [one.value for one in outcomes]
+            assert [number for number, _, _ in found] == list(range(COUNT))
+            assert {count for _, _, count in found} == {1}
+            assert os.getpid() not in {process for _, process, _ in found}
+    with alone() as workers:
+        assert [one.value[2] for one in run_cases(functions.restored, cases(2), workers=workers, shared=(shared,))] == [
+            0,
+            0,
+        ]
+
+
 def test_clock_of_the_cases_is_that_of_the_workers():
     with alone() as workers:
         (cpu,) = run_cases(functions.clock_of_case, cases(1), workers=workers)
@@ -172,21 +191,40 @@ def test_a_case_that_kills_dask_workers_is_an_error(cluster, tmp_path):
 
 
 def test_a_lost_scheduler_ends_the_run(tmp_path):
-    """Cases that were not computed must not be stored as failed."""
-    pytest.importorskip("distributed")
-    made = Cluster(tmp_path)
-    try:
-        made.add_workers(1)
-        with made.workers() as workers:
-            outcomes = run_cases(functions.process_of_case, cases(60, 0.02), workers=workers)
+    """Its futures are cancelled; cases that were not computed must not be stored as failed."""
+
+    class Lost(Workers):
+        capacity = 4
+
+        def task(self, function, shared):
+            def submit(case):
+                future = Future()
+                if case.key == "case 1":
+                    future.cancel()
+                else:
+                    future.set_result(Outcome(case.key))
+                return future
+
+            return submit
+
+    with stored(tmp_path / "outcomes.jsonl") as store:
+        outcomes = run_cases(functions.squared, cases(4), workers=Lost(1), store=store)
+        assert next(outcomes).key == "case 0"
+        with pytest.raises(OptdockError, match="the same command continues the run"):
             next(outcomes)
-            made.processes[0].kill()
-            with pytest.raises(OptdockError, match="the same command continues the run"):
-                list(outcomes)
-    finally:
-        for process in made.processes:
-            process.kill()
-            process.wait()
+    with stored(tmp_path / "outcomes.jsonl") as store:
+        assert "case 1" not in store.earlier
+
+
+def test_counted_plans_on_a_shared_map_do_not_depend_on_workers_or_order(pair):
+    """Bit for bit, though the obstacles of the map are cached in the shared problem."""
+    problem = load_scenario(ROOT / "examples" / "data" / "bay.yaml").problem
+    starts = [Case(f"{x} {yaw}", (x, 1.5, yaw)) for x in (1.2, 2.4, 3.0, 4.0) for yaw in (0.0, 2.5)]
+    with alone(clock="counted") as workers:
+        forward = rows(run_cases(functions.planned, starts, workers=workers, shared=(problem,)))
+    assert {bool(error) for _, _, error in forward} == {True, False}
+    backward = run_cases(functions.planned, reversed(starts), workers=pair, shared=(problem,))
+    assert rows(backward) == forward[::-1]
 
 
 def test_workers_with_another_version_are_refused(cluster, monkeypatch):
@@ -305,10 +343,12 @@ def test_numbers_survive_the_file_bit_by_bit(tmp_path):
 
 RUN = """
 import sys
-from tests.optdock.runner.test_runner import OutcomeStore, Workers, cases, functions, run_cases, run_head
+from optdock.runner import Case, OutcomeStore, Workers, run_cases, run_head
+from tests.optdock.runner.functions import process_of_case
 if __name__ == "__main__":
     with Workers(2, prepare=None) as workers, OutcomeStore(sys.argv[1], run_head("killed", workers, 1)) as store:
-        list(run_cases(functions.process_of_case, cases(40, 0.05), workers=workers, store=store))
+        cases = [Case(f"case {number}", (number, 0.05)) for number in range(40)]
+        list(run_cases(process_of_case, cases, workers=workers, store=store))
 """
 
 
