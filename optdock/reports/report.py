@@ -14,7 +14,6 @@ from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null,
 from optdock.io.run_file import RUN_FORMAT
 from optdock.model.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.planning.plan import PartialPlan
-from optdock.verification import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -38,10 +37,6 @@ __all__ = [
 ]
 
 _WIDE = 78  # characters of a value on a line
-_STEP, _FAR = (
-    0.01,
-    2.0,
-)  # [m]: between poses whose clearance is measured; largest distance of obstacles that are included
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
@@ -91,23 +86,11 @@ def plan_rows(plan: DockPlan) -> list[Row]:
 
 def _tightest_rows(plan: DockPlan) -> list[Row]:
     """Return the least difference from the required clearance away from the start and the dock."""
-    problem, s = plan.problem, np.arange(0.0, plan.path.length, _STEP)
-    poses, required = plan.path.poses_at(s), problem.clearance.required
-    ends = problem.goal, problem.start
-    from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
-    required_here = problem.clearance.required_at(
-        from_goal, from_start, end_clearances(problem).start, plan.certificate.start_relief
-    )
-    s, poses = s[required_here >= required], poses[required_here >= required]
-    if not s.size or not len(problem.all_obstacles):
+    place, required = plan.tightest(), plan.problem.clearance.required
+    if place is None:
         return []
-    clearances, obstacles = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
-    k = int(np.argmin(clearances))
-    if not clearances[k] < _FAR:
-        return []
-    what = in_words(problem.all_obstacles.name_of(int(obstacles[k])))
-    margin = clearances[k] - required
-    text = f"{margin:.4f} m more than the required {required:.4f} m, to {what} at s = {s[k]:.3f} m"
+    what = in_words(place.obstacle)
+    text = f"{place.margin:.4f} m more than the required {required:.4f} m, to {what} at s = {place.s:.3f} m"
     return [Row("least margin", text)]
 
 

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from optdock.runner.cases import Case, Outcome, run_cases
-from optdock.runner.outcome_store import OutcomeStore, run_head
+from optdock.runner.outcome_store import OutcomeStore, read_outcomes, run_head
 from optdock.runner.workers import Workers
 
-__all__ = ["Case", "Outcome", "OutcomeStore", "Workers", "run_cases", "run_head"]
+__all__ = ["Case", "Outcome", "OutcomeStore", "Workers", "read_outcomes", "run_cases", "run_head"]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from optdock.runner.workers import Workers
 
-__all__ = ["FORMAT", "OutcomeStore", "run_head"]
+__all__ = ["FORMAT", "OutcomeStore", "read_outcomes", "run_head"]
 
 FORMAT = "optdock-outcomes/1"
 _PACKAGES = ("numpy", "scipy", "casadi", "ruckig")
@@ -125,12 +125,24 @@ class OutcomeStore:
     def _read(self, head: Mapping[str, Any]) -> None:
         """Read the earlier outcomes and cut off an incomplete last line."""
         *lines, torn = read_bytes(self.path, MostBytes.OUTCOMES).split(b"\n")
-        for number, line in enumerate(lines, start=1):
-            self._read_line(line, number, head)
+        self.earlier = _parsed(self.path, lines, head["digest"])
         if torn:
             os.truncate(self.path, sum(map(len, lines)) + len(lines))
 
-    def _read_line(self, line: bytes, number: int, head: Mapping[str, Any]) -> None:
+
+def read_outcomes(path: str | Path) -> dict[str, Outcome]:
+    """Return the outcomes in a file by key, without a last line that was not written completely.
+
+    Raises:
+        InvalidFile: If the file cannot be read, or is no file of outcomes.
+    """
+    return _parsed(Path(path), read_bytes(Path(path), MostBytes.OUTCOMES).split(b"\n")[:-1], None)
+
+
+def _parsed(path: Path, lines: list[bytes], digest: str | None) -> dict[str, Outcome]:
+    """Return the outcomes in lines; every head must have the given digest, unless it is None."""
+    found: dict[str, Outcome] = {}
+    for number, line in enumerate(lines, start=1):
         try:
             row: Any = parse_json(line.decode())
             is_head = row.get("format") == FORMAT
@@ -138,14 +150,15 @@ class OutcomeStore:
         except (ValueError, TypeError, AttributeError):
             outcome, is_head, row = None, False, {}
         if outcome is not None and number > 1:
-            self.earlier[outcome.key] = outcome
+            found[outcome.key] = outcome
         elif not is_head:
-            raise InvalidFile(f"{self.path}:{number}: is not a line of a file of outcomes ({FORMAT})")
-        elif row.get("digest") != head["digest"]:
+            raise InvalidFile(f"{path}:{number}: is not a line of a file of outcomes ({FORMAT})")
+        elif digest is not None and row.get("digest") != digest:
             raise InvalidFile(
-                f"{self.path}:{number}: digest: must be {head['digest']}, got {row.get('digest')}: the file is of a "
-                "run with another task, seed or clock; choose another folder or delete the file"
+                f"{path}:{number}: digest: must be {digest}, got {row.get('digest')}: the file is of a run with "
+                "another task, seed or clock; choose another folder or delete the file"
             )
+    return found
 
 
 def _commit() -> str | None:

@@ -7,12 +7,13 @@ obstacles, simplified ([Douglas1973]) so that the steps of the cells of a map be
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import GoalOccupied, InvalidValue, OptdockError
+from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import prove_straight_blocked
 from optdock.model.dock import DockDirection
@@ -102,7 +103,7 @@ def _wall_points(problem: DockingProblem, spacing: float, width: float) -> Itera
         for number_of_ring, ring in enumerate((body.exterior, *body.interiors)):
             corners = np.asarray(shapely.get_coordinates(ring))
             is_left = ring.is_ccw == (number_of_ring == 0)
-            for start, end in zip(corners[:-1], corners[1:], strict=True):
+            for start, end in itertools.pairwise(corners):
                 along = end - start
                 length = float(np.hypot(*along))
                 if length < max(width, 1e-9):

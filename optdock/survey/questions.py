@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -44,12 +44,13 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan
     from optdock.survey.grid import SurveyGrid
 
-__all__ = ["Answer", "Tile", "answer_tile", "deformed_plan", "proven_plan"]
+__all__ = ["Answer", "SurveyTask", "Tile", "answer_tile", "deformed_plan", "proven_plan", "scenario_plan"]
 
 _DEFORMED_FROM = 5  # nearest motions that are tried
 _SPACING = 0.1  # [m] between the poses of a motion from which its rest may be deformed
 _FARTHEST = 1.5  # [m] of a neighbour; a step of 22.5 degrees counts as `_TURN` metres
 _TURN = 0.5 / (math.pi / 8.0)  # [m/rad]
+_MARGIN_STEP = 0.1  # [m] between the samples of `Answer.margin`
 _MOST_STEPS = 6  # deformations one after the other; then a motion is planned again
 # A deformed motion may cost this much more than that of the neighbour, as a factor and in seconds; then it is planned
 # anew. 0.4 m at 0.3 m/s take 1.3 s.
@@ -63,10 +64,11 @@ class Answer(NamedTuple):
         cell: Flat index of the cell.
         verdict: `certified`, `impossible` or `not found`.
         method: `planned`, `deformed` or `proven`; `proven` belongs to `impossible`.
-        seconds: Duration of the motion [s].
+        seconds: Duration of the motion [s]; None without a motion.
         cusps: Number of stops on the way.
-        price: Price by which motions are compared [s], see `DockPlan.price`.
-        margin: Proven lower bound of clearance minus required clearance [m].
+        price: Price by which motions are compared [s], see `DockPlan.price`; None without a motion.
+        margin: Least clearance beyond the required one, away from start and dock [m], at sampled poses; None without
+            such a pose, see `DockPlan.tightest`.
         reason: Reason of a refusal; stage of the guess of a planned motion.
         motion: Curves of the path, and durations and jerks of the phases; None unless certified.
         proof: Index of the proof among the proofs of the tile; -1 unless impossible.
@@ -76,37 +78,42 @@ class Answer(NamedTuple):
     cell: int
     verdict: str
     method: str
-    seconds: float = math.nan
+    seconds: float | None = None
     cusps: int = 0
-    price: float = math.inf
-    margin: float = math.nan
+    price: float | None = None
+    margin: float | None = None
     reason: str = ""
-    motion: Mapping[str, object] | None = None
+    motion: Mapping[str, Any] | None = None
     proof: int = -1
     steps: int = 0
 
 
-@dataclass(frozen=True)
-class Tile:
-    """Questions of one part of a survey, and known answers near it.
+class SurveyTask(NamedTuple):
+    """What all questions of a survey have in common.
 
     Args:
         scenario: Problem and plugins; its start is not used.
         grid: The cells.
-        cells: Flat indices of the cells whose centres are the questions.
-        time_budget: Time for one question [s].
-        motions: Certified answers near the tile.
-        proofs: Proofs of impossibility, as plain values, that are tried.
-        passes: Whether to return the cells that the motions pass.
+        time_budget: Time for planning one question [s].
     """
 
     scenario: Scenario
     grid: SurveyGrid
-    cells: Sequence[int]
     time_budget: float
+
+
+class Tile(NamedTuple):
+    """Questions of one part of a survey, and known answers near it.
+
+    Args:
+        cells: Flat indices of the cells whose centres are the questions.
+        motions: Certified answers near the tile.
+        proofs: Proofs of impossibility, as plain values, that are tried.
+    """
+
+    cells: Sequence[int]
     motions: Sequence[Answer] = ()
     proofs: Sequence[Mapping[str, object]] = ()
-    passes: bool = True
 
 
 class _Known(NamedTuple):
@@ -132,43 +139,41 @@ class _Known(NamedTuple):
 class _Work:
     """Answers of a tile so far."""
 
-    tile: Tile
+    task: SurveyTask
     known: list[_Known] = field(default_factory=list)
     proofs: list[NoMotionProof] = field(default_factory=list)
     passed: list[PassedCells] = field(default_factory=list)
 
     def answer(self, cell: int, pose: FloatArray) -> Answer:
-        problem = self.tile.scenario.problem.starting_at(Pose2.from_sequence(pose))
+        """Answer one question."""
+        scenario = self.task.scenario
+        problem = scenario.problem.starting_at(Pose2.from_sequence(pose))
         for number, proof in enumerate(self.proofs):
             if check_impossibility(proof, problem):
                 return Answer(cell, "impossible", "proven", reason=proof.message, proof=number)
         plan, steps = self._deformed(pose, problem)
         if plan is None:
             try:
-                plan = plan_dock(
-                    problem,
-                    time_budget=self.tile.time_budget,
-                    planner=self.tile.scenario.planner,
-                    smoother=self.tile.scenario.smoother,
-                    timing=self.tile.scenario.timing,
-                )
+                plan = scenario_plan(scenario, problem, self.task.time_budget)
             except NoMotionExists as error:
-                self.proofs.append(error.proof)
+                self.proofs.append(cast("NoMotionProof", error.proof))  # checked by `plan_dock`
                 return Answer(cell, "impossible", "proven", reason=str(error), proof=len(self.proofs) - 1)
             except OptdockError as error:
                 return Answer(cell, "not found", "planned", reason=f"{type(error).__name__}: {error}")
         self.known.append(_Known.of(plan.path, plan.price, steps, problem.dock.final_straight))
-        if self.tile.passes:
-            self.passed.append(passed_cells(plan, self.tile.grid))
-        law = plan.trajectory.time_law
-        motion = {
-            "curves": curves_of(plan.path),
-            "durations": law.durations.tolist(),
-            "jerks": law.jerks.tolist(),
-        }
-        method, margin = ("deformed" if steps else "planned"), plan.certificate.margin
+        self.passed.append(passed_cells(plan, self.task.grid))
+        law, tightest = plan.trajectory.time_law, plan.tightest(_MARGIN_STEP)
         return Answer(
-            cell, "certified", method, law.duration, stops(plan.path), plan.price, margin, plan.stage, motion, -1, steps
+            cell,
+            "certified",
+            "deformed" if steps else "planned",
+            law.duration,
+            stops(plan.path),
+            plan.price,
+            None if tightest is None else tightest.margin,
+            plan.stage,
+            {"curves": curves_of(plan.path), "durations": law.durations.tolist(), "jerks": law.jerks.tolist()},
+            steps=steps,
         )
 
     def _deformed(self, pose: FloatArray, problem: DockingProblem) -> tuple[DockPlan | None, int]:
@@ -187,7 +192,7 @@ class _Work:
                 break
             one, s = near[row], float(near[row].s[nearest[row]])
             rest = one.path if s == 0.0 else one.path.piece(s)
-            plan = deformed_plan(rest, problem, self.tile.scenario, self.tile.time_budget)
+            plan = deformed_plan(rest, problem, self.task.scenario, self.task.time_budget)
             if plan is not None and plan.price <= factor * one.price + more:
                 return plan, one.steps + 1
         return None, 0
@@ -216,19 +221,34 @@ def proven_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_bu
     return None
 
 
-def answer_tile(tile: Tile) -> dict[str, object]:
+def scenario_plan(scenario: Scenario, problem: DockingProblem, time_budget: float) -> DockPlan:
+    """Return the plan of a problem with the plugins of a scenario.
+
+    Raises:
+        OptdockError: As `plan_dock`.
+    """
+    return plan_dock(
+        problem,
+        time_budget=time_budget,
+        planner=scenario.planner,
+        smoother=scenario.smoother,
+        timing=scenario.timing,
+    )
+
+
+def answer_tile(task: SurveyTask, tile: Tile) -> dict[str, object]:
     """Answer the questions of a tile in their order.
 
     Returns:
         Plain JSON values: `answers`, the proofs of impossibility, and the passed cells as columns.
     """
-    work = _Work(tile, proofs=[impossibility_from_dict(values) for values in tile.proofs])
+    work = _Work(task, proofs=[impossibility_from_dict(values) for values in tile.proofs])
     for answer in tile.motions:
-        if answer.motion is not None:
-            path = path_from_curves(answer.motion["curves"], tile.scenario.problem.frame)  # type: ignore[arg-type]
-            last = tile.scenario.problem.dock.final_straight
+        if answer.motion is not None and answer.price is not None:
+            path = path_from_curves(answer.motion["curves"], task.scenario.problem.frame)
+            last = task.scenario.problem.dock.final_straight
             work.known.append(_Known.of(path, answer.price, answer.steps, last))
-    poses = tile.grid.poses(np.asarray(tile.cells, dtype=np.int64))
+    poses = task.grid.poses(np.asarray(tile.cells, dtype=np.int64))
     answers = [work.answer(cell, pose) for cell, pose in zip(tile.cells, poses, strict=True)]
     return {
         "answers": [answer._asdict() for answer in answers],

@@ -14,10 +14,12 @@ The robot accelerates from rest and joins the time law of the original motion, w
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from optdock.io.path_columns import path_from_curves
+from optdock.model.constant_jerk import TimeLaw
 from optdock.planners.manoeuvres.price import CUSP_PRICE
 from optdock.timing.jerk_phases import DriveBounds, MotionState
 from optdock.timing.ruckig_moves import move
@@ -26,13 +28,13 @@ from optdock.verification import end_clearances
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.model.constant_jerk import TimeLaw
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.model.limits import MotionLimits
     from optdock.planning.plan import DockPlan
     from optdock.survey.grid import SurveyGrid
+    from optdock.survey.questions import SurveyTask
 
-__all__ = ["PassedCells", "passed_cells", "seconds_from_rest"]
+__all__ = ["PassedCells", "passed_cells", "seconds_from_rest", "time_rests"]
 
 _SPACING = 0.02  # [m] between the poses of a path that are assigned to cells
 # Distances [m] after which the robot is to have joined the original motion; the first one that is possible is used.
@@ -61,14 +63,22 @@ class PassedCells(NamedTuple):
         if not parts:
             empty = np.zeros(0, dtype=np.int64)
             return cls(empty, empty, np.zeros(0), np.zeros(0))
-        every = cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        cell, source = (np.concatenate([part[axis] for part in parts]) for axis in (0, 1))
+        every = cls(
+            cell, source, np.concatenate([one.s for one in parts]), np.concatenate([one.price for one in parts])
+        )
         order = np.lexsort((every.source, every.price, every.cell))
         _, first = np.unique(every.cell[order], return_index=True)
-        return cls(*(column[order[first]] for column in every))
+        return every.rows(order[first])
 
-    def rows(self, kept: object) -> PassedCells:
+    def rows(self, kept: IntArray | BoolArray) -> PassedCells:
         """Return selected rows."""
-        return PassedCells(*(column[kept] for column in self))  # type: ignore[index]
+        return PassedCells(self.cell[kept], self.source[kept], self.s[kept], self.price[kept])
+
+    def by_source(self) -> list[PassedCells]:
+        """Return the rows of each source, which must follow each other."""
+        ends = np.flatnonzero(np.diff(self.source)) + 1
+        return [self.rows(rows) for rows in np.split(np.arange(self.cell.size), ends)] if self.cell.size else []
 
     def as_dict(self) -> dict[str, list[float]]:
         """Return plain values."""
@@ -163,3 +173,36 @@ def seconds_from_rest(law: TimeLaw, s: float, end: float, limits: MotionLimits) 
         if join == until:
             break
     return math.nan
+
+
+def time_rests(
+    task: SurveyTask, motions: Sequence[tuple[Mapping[str, Any], Sequence[float]]]
+) -> list[dict[str, list[Any]]]:
+    """Return duration [s], pose and number of stops of the rests of several motions.
+
+    Args:
+        task: The survey.
+        motions: Each motion, as in `Answer.motion`, with the path coordinates at which its rests begin [m].
+
+    Returns:
+        One row per motion: `seconds` (None if the motion cannot be joined), `poses` and `stops`, one for each rest.
+    """
+    return [_timed(task, motion, np.array(places)) for motion, places in motions]
+
+
+def _timed(task: SurveyTask, motion: Mapping[str, Any], s: FloatArray) -> dict[str, list[Any]]:
+    problem = task.scenario.problem
+    path, limits = path_from_curves(motion["curves"], problem.frame), problem.robot.limits
+    law = TimeLaw(np.array(motion["durations"]), np.array(motion["jerks"]))
+    borders = path.segment_starts[1:]
+    ends = borders[np.minimum(np.searchsorted(borders, s, side="right"), borders.size - 1)]
+    seconds = [
+        limits.steering_time_to(bend) + seconds_from_rest(law, place, end, limits)
+        for bend, place, end in zip(path.curvature_at(s).tolist(), s.tolist(), ends.tolist(), strict=True)
+    ]
+    stops_left = len(path.cusps) - np.searchsorted(path.cusps, s, side="right")
+    return {
+        "seconds": [one if math.isfinite(one) else None for one in seconds],
+        "poses": path.poses_at(s).tolist(),
+        "stops": stops_left.tolist(),
+    }
