@@ -130,7 +130,7 @@ class Workers:
         if not isinstance(self._executor, _ThisProcess):
             content = pickle.dumps(shared)
         if self._client is not None:
-            content = self._client.scatter(content, broadcast=True, hash=False)
+            content = self._client.submit(_same, content, pure=False)  # unlike scattered data, computed again if lost
 
         def submit(case: Case) -> Future[Outcome]:
             assert self._executor is not None
@@ -251,6 +251,10 @@ def _client(scheduler: str) -> Any:  # noqa: ANN401 - dask has no types
         listed = ", ".join(f"{worker}: {version}" for worker, version in other.items())
         raise InvalidValue(f"{scheduler}: not all workers have optdock {__version__}: {listed}")
     return client
+
+
+def _same(content: bytes) -> bytes:
+    return content
 
 
 def _version() -> str:
