@@ -21,6 +21,7 @@ from optdock.cli.importing import app as importing
 from optdock.cli.plan import compare, plan
 from optdock.cli.replay import replay
 from optdock.cli.simulate import demo, simulate
+from optdock.cli.survey import survey
 
 __all__ = ["app", "main"]
 
@@ -99,6 +100,6 @@ def schema(
             write_text(out, text + "\n")
 
 
-for _command in (plan, simulate, certify, compare, demo, replay, calibrate, bag, plugins, schema):
+for _command in (plan, simulate, certify, survey, compare, demo, replay, calibrate, bag, plugins, schema):
     app.command()(_command)
 app.add_typer(importing, name="import")

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan, PartialPlan
     from optdock.reports.comparison import PathFigures
 
-__all__ = ["PlanOutputs", "compare", "draw_profile", "plan", "solved", "write"]
+__all__ = ["PlanOutputs", "compare", "draw_profile", "plan", "solved", "write", "written_failure"]
 
 _NAV2 = "Instead of a scenario"
 
@@ -183,19 +183,29 @@ def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOu
     Raises:
         OptdockError: If no certified plan is found, see `plan_dock`, or if a file cannot be written.
     """
-    from optdock.io.plan_file import save_plan
     from optdock.planning.plan import PartialPlan
-    from optdock.reports.report import failed_plan_file
 
     try:
         return scenario.plan(time_budget)
     except OptdockError as error:
         if status_of(error) is not ExitStatus.BAD_INPUT:
-            if outputs.file is not None:
-                save_plan(outputs.file, failed_plan_file(error, scenario.problem.frame), spacing=outputs.spacing)
+            written_failure(error, scenario.problem.frame, outputs)
             with _secondary():
                 _draw(outputs.picture, scenario, PartialPlan.left_by(error), one_line(error), error)
         raise
+
+
+def written_failure(error: OptdockError, frame: str, outputs: PlanOutputs) -> None:
+    """Write the plan file of a failure.
+
+    Raises:
+        InvalidFile: If the file cannot be written.
+    """
+    from optdock.io.plan_file import save_plan
+    from optdock.reports.report import failed_plan_file
+
+    if outputs.file is not None:
+        save_plan(outputs.file, failed_plan_file(error, frame), spacing=outputs.spacing)
 
 
 def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,7 @@ from optdock.cli.common import METRES, SECONDS, JobsOption, SchedulerOption, Ver
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from optdock.survey.grid import Box
     from optdock.survey.survey import DockSurvey, SurveyedDock, SurveySettings
@@ -55,7 +54,9 @@ def survey(  # noqa: PLR0913 - one parameter per option
         str | None,
         typer.Option(metavar="X,Y,YAW", help="Pose in the cell, in m, m, rad.", rich_help_panel=_CELL),
     ] = None,
-    dock: Annotated[str | None, typer.Option(help="Name of the dock; default: the best.", rich_help_panel=_CELL)] = None,
+    dock: Annotated[
+        str | None, typer.Option(help="Name of the dock; default: the best.", rich_help_panel=_CELL)
+    ] = None,
     plan: Annotated[
         Path, typer.Option(help="Plan file to write; its scenario is written next to it.", rich_help_panel=_CELL)
     ] = Path("cell.json"),
@@ -79,16 +80,14 @@ def survey(  # noqa: PLR0913 - one parameter per option
         _survey(list(_docks(scenarios, docks, along_walls, box)), settings, out, jobs, scheduler)
 
 
-def _survey(docks: list[SurveyedDock], settings: SurveySettings, out: Path, jobs: int | None, scheduler: str | None) -> None:
+def _survey(
+    docks: list[SurveyedDock], settings: SurveySettings, out: Path, jobs: int | None, scheduler: str | None
+) -> None:
     from optdock.reports.report import table
-    from optdock.runner import Workers
     from optdock.survey.survey import file_stem, run_survey
 
-    def progress(name: str) -> AbstractContextManager[Callable[[str], None]]:
-        return working(f"survey of {name}", None)
-
-    with Workers(jobs, scheduler, clock="counted") as workers:
-        found = run_survey(docks, settings, out, workers, progress)
+    with workers:
+        found = run_survey(docks, settings, out, workers, working)
     for one in found:
         typer.echo(str(one.summary))
         _draw(out / f"{file_stem(one.surveyed)}.png", one)
@@ -102,7 +101,9 @@ def _row(one: DockSurvey) -> tuple[str, ...]:
     summary = one.summary
     numbers = (100.0 * summary.share, 100.0 * summary.floor, summary.p95, summary.margin, *summary.pose)
     places = (1, 1, 1, 3, 2, 2, 3)
-    shown = (f"{value:.{digits}f}" if math.isfinite(value) else "-" for value, digits in zip(numbers, places, strict=True))
+    shown = (
+        f"{value:.{digits}f}" if math.isfinite(value) else "-" for value, digits in zip(numbers, places, strict=True)
+    )
     return one.surveyed.key, *shown
 
 
@@ -163,7 +164,7 @@ def _open_cell(folders: list[Path], cell: str, dock: str | None, target: Path) -
 
     import numpy as np
 
-    from optdock.cli.plan import PlanOutputs, write_failure
+    from optdock.cli.plan import PlanOutputs, written_failure
     from optdock.config import save_scenario
     from optdock.errors import OptdockError
     from optdock.geometry.pose import Pose2
@@ -185,7 +186,7 @@ def _open_cell(folders: list[Path], cell: str, dock: str | None, target: Path) -
         start = Pose2.from_sequence(found.task.grid.poses(np.array([row]))[0])
         problem = scenario.problem.starting_at(start)
         save_scenario(target.with_suffix(".yaml"), dataclasses.replace(scenario, problem=problem))
-        write_failure(error, problem.frame, PlanOutputs(target))
+        written_failure(error, problem.frame, PlanOutputs(target))
         raise
     save_scenario(target.with_suffix(".yaml"), dataclasses.replace(scenario, problem=plan.problem))
     plan.save(target)

@@ -117,7 +117,9 @@ def _mark_refusals(axes: Axes, layers: SurveyLayers) -> None:
     some = layers.not_found.any(axis=0)
     if some.any():
         label = "not found for a heading"
-        axes.scatter(x[some], y[some], s=5.0, marker="x", linewidths=0.6, color=COLOURS["reverse"], label=label, zorder=2.2)
+        axes.scatter(
+            x[some], y[some], s=5.0, marker="x", linewidths=0.6, color=COLOURS["reverse"], label=label, zorder=2.2
+        )
 
 
 def _draw_rose(figure: Figure, place: object, layers: SurveyLayers, certified: BoolArray) -> None:
@@ -141,5 +143,7 @@ def _draw_rose(figure: Figure, place: object, layers: SurveyLayers, certified: B
     axes.set_yticks([50.0, 100.0], ["50 %", "100 %"], fontsize=7)
     axes.set_xticks(np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False))
     axes.tick_params(labelsize=7)
-    note = f"by start heading: length = certified share, colour = median duration, {min(known):.1f} to {max(known):.1f} s"
+    note = (
+        f"by start heading: length = certified share, colour = median duration, {min(known):.1f} to {max(known):.1f} s"
+    )
     axes.set_title(textwrap.fill(note, 34), fontsize=8)

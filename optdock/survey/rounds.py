@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.geometry.pose import wrap_angles
+from optdock.plotting.survey_picture import SurveyLayers
 from optdock.runner import Case
 from optdock.survey.grid import CLEAR, OCCUPIED, TIGHT, SurveyGrid, room_at
 from optdock.survey.questions import Answer, Tile, answer_tile
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Spacing", "SurveyAnswers", "Verdict", "survey_dock"]
 
-RunTiles: TypeAlias = "Callable[[Callable[..., object], Iterable[Case]], Iterator[Outcome]]"
+RunTiles: TypeAlias = "Callable[[Callable[..., object], Sequence[Case]], Iterator[Outcome]]"
 
 
 class Spacing(NamedTuple):
@@ -113,6 +114,25 @@ class SurveyAnswers:
         start = grid.poses(np.arange(count))
         found = cls(grid, verdict, method, nothing, np.zeros(count, dtype=np.int64), nowhere, np.zeros(count), start)
         return found, room
+
+    def layers(self) -> SurveyLayers:
+        """Return the answers by heading and position, for a picture."""
+        _, rows, columns = shape = self.grid.shape
+        x, y = (
+            self.grid.resolution * (np.arange(count, dtype=np.float64) + first)
+            for count, first in zip((columns, rows), self.grid.first, strict=True)
+        )
+        verdict = self.verdict.reshape(shape)
+        impossible, not_found = (verdict == one for one in (Verdict.IMPOSSIBLE, Verdict.NOT_FOUND))
+        return SurveyLayers(
+            x=x,
+            y=y,
+            headings=self.grid.headings,
+            seconds=np.where(verdict == Verdict.CERTIFIED, self.seconds.reshape(shape), np.nan),
+            impossible=impossible,
+            not_found=not_found,
+            free=(verdict == Verdict.CERTIFIED) | impossible | not_found,
+        )
 
     def record(self, answers: Iterable[Answer]) -> None:
         """Enter the answers to questions."""
@@ -202,10 +222,10 @@ class _Rounds:
         best = best.rows(np.argsort(best.source, kind="stable"))
         groups = best.by_source()
         batches = [groups[at : at + _TIMED] for at in range(0, len(groups), _TIMED)]
-        cases = (
+        cases = [
             Case(f"{self.name}rests {i}", ([(self._motion(group), group.s.tolist()) for group in batch],))
             for i, batch in enumerate(batches)
-        )
+        ]
         for batch, outcome in zip(batches, self.run(time_rests, cases), strict=True):
             found.cpu_seconds += outcome.cpu_seconds
             for group, result in zip(batch, outcome.value or (), strict=False):
@@ -248,17 +268,12 @@ class _Rounds:
 
     def _ask(self, stage: str, tiles: Iterable[tuple[str, Tile]]) -> None:
         """Let the questions of tiles be answered, and enter the answers."""
-        asked: list[Tile] = []
-
-        def cases() -> Iterator[Case]:
-            for key, tile in tiles:
-                asked.append(tile)
-                yield Case(f"{self.name}{stage} {key}".rstrip(), (tile,))
-
-        for number, outcome in enumerate(self.run(answer_tile, cases())):
+        listed = list(tiles)
+        cases = [Case(f"{self.name}{stage} {key}".rstrip(), (tile,)) for key, tile in listed]
+        for (_, tile), outcome in zip(listed, self.run(answer_tile, cases), strict=True):
             self.found.cpu_seconds += outcome.cpu_seconds
             if outcome.error:
-                failed = (Answer(cell, "not found", "planned", reason=outcome.error) for cell in asked[number].cells)
+                failed = (Answer(cell, "not found", "planned", reason=outcome.error) for cell in tile.cells)
                 self.found.record(failed)
                 continue
             result = outcome.value

@@ -12,11 +12,12 @@ import math
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from optdock.config import load_scenario, save_scenario
-from optdock.errors import InvalidValue
+from optdock.errors import InvalidFile, InvalidValue
 from optdock.io.atomic_file import write_text
+from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.plan_file import strict_json
 from optdock.runner import OutcomeStore, read_outcomes, run_cases, run_head
 from optdock.survey.dock_places import DockPlace
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 __all__ = ["FORMAT", "DockSurvey", "SurveySettings", "SurveyedDock", "docks_of", "open_survey", "run_survey"]
 
 FORMAT = "optdock-survey/1"
+
+Progress: TypeAlias = "Callable[[str, int], AbstractContextManager[Callable[[str], None]]]"
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ def run_survey(
     settings: SurveySettings,
     out: Path,
     workers: Workers,
-    progress: Callable[[str], AbstractContextManager[Callable[[str], None]]] | None = None,
+    progress: Progress | None = None,
 ) -> list[DockSurvey]:
     """Survey docks and write the results, except pictures, to a folder.
 
@@ -103,8 +106,8 @@ def run_survey(
         settings: Settings of the survey.
         out: The folder. A survey that was interrupted there is continued.
         workers: The processes to use, as an open context.
-        progress: Called with the name of a dock before each of its rounds; returns a context with a function that is
-            called for every finished case.
+        progress: Called with the name of a dock and the number of cases before each round; returns a context with a
+            function that is called for every finished case.
 
     Returns:
         The docks, the best first: by the share of certified cells, then by `DockSummary.p95`.
@@ -162,7 +165,7 @@ def open_survey(folder: Path, name: str | None = None) -> DockSurvey:
     task, region = _task(surveyed, SurveySettings(**values))
     stored = read_outcomes(folder / "outcomes.jsonl")
 
-    def known(_: Callable[..., object], cases: Iterable[Case]) -> Iterator[Outcome]:
+    def known(_: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
         for case in cases:
             if case.key not in stored:
                 raise InvalidFile(f"{folder}: the survey is not finished: {case.key} is missing")
@@ -183,10 +186,10 @@ def _surveyed(
     region: BoolArray,
     workers: Workers,
     store: OutcomeStore,
-    progress: Callable[[str], AbstractContextManager[Callable[[str], None]]] | None,
+    progress: Progress | None,
 ) -> DockSurvey:
-    def run(function: Callable[..., object], cases: Iterable[Case]) -> Iterator[Outcome]:
-        with nullcontext(None) if progress is None else progress(dock.key) as advance:
+    def run(function: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
+        with nullcontext(None) if progress is None else progress(dock.key, len(cases)) as advance:
             yield from run_cases(function, cases, workers=workers, shared=(task,), store=store, progress=advance)
 
     answers = survey_dock(task, region, run, name=f"{dock.key} ")
