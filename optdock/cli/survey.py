@@ -14,6 +14,7 @@ from optdock.errors import InvalidValue
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from optdock.runner import Workers
     from optdock.survey.grid import Box
     from optdock.survey.survey import DockSurvey, SurveyedDock, SurveySettings
 
@@ -72,17 +73,18 @@ def survey(  # noqa: PLR0913 - one parameter per option
         if cell is not None:
             _open_cell(scenarios, cell, dock, plan)
             return
+        from optdock.runner import Workers
         from optdock.survey.survey import SurveySettings
 
         spare(*scenarios, out)
         box = None if region is None else _box(region)
         settings = SurveySettings(within, box, resolution, headings, time_budget)
-        _survey(list(_docks(scenarios, docks, along_walls, box)), settings, out, jobs, scheduler)
+        surveyed = list(_docks(scenarios, docks, along_walls, box))
+        _survey(surveyed, settings, out, Workers(jobs, scheduler, clock="counted"))
 
 
-def _survey(
-    docks: list[SurveyedDock], settings: SurveySettings, out: Path, jobs: int | None, scheduler: str | None
-) -> None:
+def _survey(docks: list[SurveyedDock], settings: SurveySettings, out: Path, workers: Workers) -> None:
+    """Survey docks, and print and draw the results."""
     from optdock.reports.report import table
     from optdock.survey.survey import file_stem, run_survey
 
