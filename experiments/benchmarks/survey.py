@@ -3,8 +3,8 @@
     optdock survey scenario.yaml --within 8 --out survey
     python -m experiments.benchmarks survey survey --sample 1000
 
-For each sampled cell `plan_dock` is called alone, with the time budget and the clock of the survey, and the answer of the
-survey is opened as a plan file, which `optdock certify` must accept.
+For each sampled cell `plan_dock` is called alone, with the time budget and the clock of the survey, and the answer of
+the survey is opened as a plan file, which `optdock certify` must accept.
 """
 
 from __future__ import annotations
@@ -134,10 +134,8 @@ def report(
         name == "IMPOSSIBLE" and one["verdict"] == "CERTIFIED" for name, one in zip(told, results["alone"], strict=True)
     )
     low, high = stats.binomtest(len(wrong) + refuted, len(cells)).proportion_ci(method="wilson")
-    print(
-        f"\nrefuted: {refuted} impossible cells with a plan, {len(wrong)} answers whose plan file differs, of {len(cells)}"
-    )
-    print(f"(95 % interval of the share: {100.0 * low:.2f} to {100.0 * high:.2f} %)")
+    print(f"\nrefuted: {refuted} impossible cells with a plan, {len(wrong)} answers whose plan file differs,")
+    print(f"of {len(cells)} (95 % interval of the share: {100.0 * low:.2f} to {100.0 * high:.2f} %)")
     ratios = [
         found.answers.seconds[cell] / one["seconds"]
         for cell, one in zip(cells, results["alone"], strict=True)
@@ -148,10 +146,8 @@ def report(
         print(
             "duration of the survey over that of the cell alone: p5 {}, p50 {}, p90 {}, p95 {}, p99 {}".format(*levels)
         )
-    survey = found.summary.cpu_seconds / free
-    print(
-        f"CPU per cell: survey {1e3 * survey:.2f} ms, alone {1e3 * costs['alone']:.1f} ms: {costs['alone'] / survey:.1f} times"
-    )
+    survey, each = 1e3 * found.summary.cpu_seconds / free, 1e3 * costs["alone"]
+    print(f"CPU per cell: survey {survey:.2f} ms, alone {each:.1f} ms, {each / survey:.1f} times as much")
     return int(bool(wrong or refuted))
 
 

@@ -25,6 +25,7 @@ from optdock.geometry.footprint import CORE_DEPTH
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.polygon import convex_cover
 from optdock.geometry.separation import separation
+from optdock.verification.certificate import Memo
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -38,7 +39,12 @@ __all__ = ["DEPTH", "deep_pairs", "deepest"]
 DEPTH = CORE_DEPTH  # [m], twice the `TOLERANCE` of certificates: accepted contact is half of it away from the core
 _CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as closed
 _MARGIN = 0.1  # [m] around the box of interest, so that the edges of the box are no outline within it
+_LATTICE = 0.25  # [m]: a core takes 10 to 40 ms among the cells of a map; poses of a search are centimetres apart
+_MOST_CORES = 256  # per set of obstacles
 _ARC = 4  # segments of a quarter circle
+
+
+_CORES: Memo[ObstacleSet, dict[tuple[bytes, bytes], ObstacleSet]] = Memo()
 
 
 def deep_pairs(
@@ -69,8 +75,25 @@ def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> f
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-    """Return convex pieces of the core of all obstacles that touch each other, in a box with a margin."""
-    low, high = lower - _MARGIN, upper + _MARGIN
+    """Return convex pieces of the core of all obstacles that touch each other, in a box with a margin.
+
+    The corners of the box are moved outwards to a lattice, so that neighbouring poses share the same core.
+    """
+    low, high = np.floor(lower / _LATTICE) * _LATTICE, np.ceil(upper / _LATTICE) * _LATTICE
+    known = _CORES.recall(obstacles)
+    if known is None:
+        known = {}
+        _CORES.keep(obstacles, known)
+    key = low.tobytes(), high.tobytes()
+    if key not in known:
+        if len(known) >= _MOST_CORES:
+            known.clear()
+        known[key] = _core_in(obstacles, low - _MARGIN, high + _MARGIN)
+    return known[key]
+
+
+def _core_in(obstacles: ObstacleSet, low: FloatArray, high: FloatArray) -> ObstacleSet:
+    """Return convex pieces of the core of the obstacles in a box, see `_obstacle_core`."""
     rows = obstacles.rows_in_box(low, high)
     rows = rows[_touching(obstacles.lower[rows], obstacles.upper[rows])]
     if rows.size == 0:

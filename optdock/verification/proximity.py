@@ -74,7 +74,12 @@ def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) ->
 
 
 def pose_clearances(
-    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float = np.inf
+    poses: FloatArray,
+    footprint: Footprint,
+    obstacles: ObstacleSet,
+    within: float = np.inf,
+    *,
+    checks_unions: bool = True,
 ) -> tuple[FloatArray, IntArray]:
     """Return the signed clearances of poses and the rows of their nearest obstacles, Shape (n,) [m] and (n,).
 
@@ -83,7 +88,20 @@ def pose_clearances(
         footprint: The outline.
         obstacles: May be empty.
         within: If no obstacle is closer than this [m], the result is (within, -1).
+        checks_unions: Whether overlaps that are shallow for every piece are checked for deep overlaps of the unions,
+            see `contact_tolerance`. A search for guesses, which are certified afterwards, can omit this check.
     """
+    best, row = _of_pieces(poses, footprint, obstacles, within)
+    if checks_unions:
+        for shallow in np.flatnonzero((best < 0.0) & (best > -DEPTH)).tolist():
+            best[shallow] = min(best[shallow], deepest(footprint, poses[shallow], obstacles))
+    return best, row
+
+
+def _of_pieces(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
+    """Return the result of `pose_clearances` without the check of unions."""
     reach = footprint.circumscribed_radius + min(within, _NEARBY)
     rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
     if rows.size < 0.5 * len(obstacles):
@@ -115,8 +133,6 @@ def _nearest(
             k = np.argmin(found, axis=1)
             smallest = found[np.arange(n), k]
             row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
-    for shallow in np.flatnonzero((best < 0.0) & (best > -DEPTH)).tolist():
-        best[shallow] = min(best[shallow], deepest(footprint, poses[shallow], obstacles))
     return best, row
 
 
