@@ -2,7 +2,7 @@
 
 1. One question for every connected component of the free cells. A proof of impossibility is then tried for all cells of
    its component.
-2. One question for every block of `Spacing.block` x `Spacing.block` cells of one heading, more if obstacles divide it.
+2. One question for every block of cells of one heading, see `Spacing`, more if obstacles divide it.
 3. The poses that the motions pass are answers of their cells.
 4. Questions for the cells where verdicts meet. The other cells share the answer of their block.
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from optdock.config import Scenario
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
     from optdock.runner import Outcome
     from optdock.survey.questions import SurveyTask
 
@@ -44,11 +45,14 @@ RunTiles: TypeAlias = "Callable[[Callable[..., object], Sequence[Case]], Iterato
 class Spacing(NamedTuple):
     """Sizes in cells: side of a block with one question, and side of a tile, a multiple of a block."""
 
-    block: int = 4
-    tile: int = 16
+    block: int
+    tile: int
 
-
-_SPACING = Spacing()
+    @classmethod
+    def of(cls, footprint: Footprint, resolution: float) -> Spacing:
+        """Return the sizes for a robot and a distance of neighbouring positions [m]."""
+        block = max(1, int(_BLOCK * min(footprint.width, footprint.length) / resolution + 1e-9))
+        return cls(block, max(_TILE // block, 1) * block)
 
 
 class Verdict(IntEnum):
@@ -66,6 +70,10 @@ VERDICTS = {"certified": Verdict.CERTIFIED, "impossible": Verdict.IMPOSSIBLE, "n
 _VERIFIED = 64  # cells per tile for which a proof of impossibility is checked
 _TIMED = 64  # motions per case whose rests are timed
 _BETTER = 0.5  # [s] by which the rest of another motion must be cheaper to replace an answer
+# Side of a block as a share of the robot's smaller extent. Motions deformed over this distance are 1 % slower than
+# those planned anew, and four of five can be certified.
+_BLOCK = 0.67
+_TILE = 16  # cells along the side of a tile: some hundred questions, seconds of work
 _STAGES = 4  # of the questions of blocks: motions of a stage may pass the blocks of later ones
 _PASSES = 3  # rounds of questions where verdicts meet
 
@@ -149,8 +157,6 @@ def survey_dock(
     task: SurveyTask,
     region: BoolArray,
     run: RunTiles,
-    *,
-    spacing: Spacing = _SPACING,
     name: str = "",
 ) -> SurveyAnswers:
     """Answer for every cell whether the robot can dock from it.
@@ -160,10 +166,9 @@ def survey_dock(
         region: Positions in the surveyed region, Shape (rows, columns).
         run: Function that applies a function to cases and yields their outcomes in the order of the cases, such as
             `run_cases` with `task` as shared argument.
-        spacing: Sizes of blocks and tiles.
         name: Prefix of the keys of the cases.
     """
-    rounds = _Rounds(task, region, run, spacing, name)
+    rounds = _Rounds(task, region, run, name)
     rounds.ask_components()
     rounds.ask_blocks()
     rounds.pass_on()
@@ -179,8 +184,9 @@ class _Rounds:
     question of each block.
     """
 
-    def __init__(self, task: SurveyTask, region: BoolArray, run: RunTiles, spacing: Spacing, name: str) -> None:
-        self.task, self.grid, self.run, self.spacing, self.name = task, task.grid, run, spacing, name
+    def __init__(self, task: SurveyTask, region: BoolArray, run: RunTiles, name: str) -> None:
+        self.task, self.grid, self.run, self.name = task, task.grid, run, name
+        self.spacing = Spacing.of(task.scenario.problem.robot.footprint, task.grid.resolution)
         self.found, self.room = SurveyAnswers.unanswered(task.grid, region, task.scenario)
         self.block, self.questions = np.full(self.room.size, -1), np.zeros(0, dtype=np.int64)
         self.passed = PassedCells.joined(())

@@ -128,11 +128,14 @@ def run_survey(
     found.sort(key=lambda one: (-one.summary.share, one.summary.p95))
     save_table(out / "survey.parquet", [(one.surveyed.robot, one.surveyed.dock, one.answers) for one in found])
     rows = [one.summary.as_dict() for one in found]
-    files = {one.surveyed.key: f"{file_stem(one.surveyed)}.yaml" for one in found}
+    files, maps = {}, dict[int, Path | None]()
     for one in found:
-        save_scenario(
-            out / files[one.surveyed.key], one.surveyed.scenario, note=f"dock of a survey: {one.surveyed.key}"
-        )
+        scenario, target = one.surveyed.scenario, out / f"{file_stem(one.surveyed)}.yaml"
+        # Docks of one map share the map file of the first of them.
+        known = maps.get(id(scenario.problem.costmap))
+        written = save_scenario(target, scenario, map_source=known, note=f"dock of a survey, {one.surveyed.key}")
+        maps.setdefault(id(scenario.problem.costmap), written[1] if len(written) > 1 else None)
+        files[one.surveyed.key] = target.name
     told = dataclasses.asdict(settings)
     document = {"format": FORMAT, "settings": told, "docks": rows, "scenarios": files, "run": head}
     write_text(out / "survey.json", strict_json(document) + "\n")
