@@ -1,0 +1,152 @@
+"""Report of several files: reads plans, runs, logs, comparisons and surveys, and writes one HTML page."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidFile, InvalidValue
+from optdock.executor.log import LOG_FORMAT, read_log
+from optdock.io.atomic_file import write_text
+from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.plan_file import PLAN_FORMAT, load_plan
+from optdock.io.quoting import shown
+from optdock.io.run_file import RUN_FORMAT, load_run
+from optdock.reports.html.drive_chapters import log_chapter, run_chapter
+from optdock.reports.html.page import Table, html_page
+from optdock.reports.html.plan_chapter import plan_chapter
+from optdock.reports.html.table_chapters import comparison_chapter, is_comparison
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from optdock.io.plan_file import PlanFile
+    from optdock.io.run_file import RunColumns
+    from optdock.model.problem import DockingProblem
+    from optdock.reports.html.page import Block, Chapter
+
+__all__ = ["read_chapters", "save_report"]
+
+_CONFIDENCE = 0.95
+_WITH_PROBLEM = (PLAN_FORMAT, RUN_FORMAT)
+_COMPARISON = "comparison"
+_BEGIN = 2000  # characters in which a file states its format
+_SAME_PATH = 0.01  # [m]: largest distance of the planned poses of a run from the path that it follows
+_FORMAT = re.compile(r'"format"\s*:\s*"(?P<name>[^"\n]*)"')
+
+
+def save_report(target: str | Path, title: str, chapters: Sequence[Chapter]) -> None:
+    """Write a report.
+
+    Args:
+        target: HTML file to write.
+        title: Title of the page.
+        chapters: One chapter for each file; the worst results are placed first.
+
+    Raises:
+        MissingExtra: If Bokeh is not installed.
+        InvalidFile: If the file cannot be written.
+    """
+    ranked = sorted(chapters, key=lambda chapter: chapter.rank)
+    write_text(target, html_page(title, [*_overview(ranked)], ranked))
+
+
+def read_chapters(sources: Sequence[Path], problems: Sequence[DockingProblem] = ()) -> list[Chapter]:
+    """Read files of any kind and return their chapters; a run is compared with the plan among the files that it drove.
+
+    Args:
+        sources: The files.
+        problems: Problems of the plans and runs: none, one for all, or one for each in their order.
+
+    Raises:
+        InvalidFile: If a file cannot be read or has an unknown format.
+        InvalidValue: If there are several problems, but not one for each plan and run.
+        MissingExtra: If Bokeh is not installed.
+    """
+    kinds = [_kind_of(source) for source in sources]
+    wanting = sum(kind in _WITH_PROBLEM for kind in kinds)
+    if len(problems) > 1 and len(problems) != wanting:
+        raise InvalidValue(f"scenarios: give one, or one for each of the {wanting} plans and runs, got {len(problems)}")
+    given = iter(problems if len(problems) > 1 else [*problems] * wanting)
+    files = [
+        (source, kind, next(given, None) if kind in _WITH_PROBLEM else None)
+        for source, kind in zip(sources, kinds, strict=True)
+    ]
+    plans = [load_plan(source) if kind == PLAN_FORMAT else None for source, kind, _ in files]
+    chapters = []
+    for (source, kind, problem), plan in zip(files, plans, strict=True):
+        if plan is not None:
+            chapters.append(_plan_chapter(source, plan, problem))
+        elif kind == RUN_FORMAT:
+            run = load_run(source)
+            driven = next((one for one in plans if one is not None and _follows(run, one)), None)
+            chapters.append(run_chapter(source.name, run, problem, driven))
+        elif kind == LOG_FORMAT:
+            chapters.append(log_chapter(source.name, read_log(source)))
+        else:
+            chapters.append(comparison_chapter(source.name, read_text(source, MostBytes.JSON)))
+    return chapters
+
+
+def _plan_chapter(source: Path, plan: PlanFile, problem: DockingProblem | None) -> Chapter:
+    try:
+        return plan_chapter(source.name, plan, problem)
+    except InvalidFile as error:
+        raise InvalidFile(f"{source}: {error}") from error
+
+
+def _kind_of(source: Path) -> str:
+    """Return the format that a file states near its beginning, or the kind of a file without such a line.
+
+    Raises:
+        InvalidFile: If the file has no known format.
+    """
+    begin = read_text(source, MostBytes.LOG)[:_BEGIN]
+    if is_comparison(begin):
+        return _COMPARISON
+    found = _FORMAT.search(begin)
+    if found is None or found["name"] not in (*_WITH_PROBLEM, LOG_FORMAT):
+        known = ", ".join((*_WITH_PROBLEM, LOG_FORMAT))
+        got = "no format" if found is None else f"format {shown(found['name'])}"
+        raise InvalidFile(f"{source}: must be a comparison.csv or have one of the formats {known}, got {got}")
+    return found["name"]
+
+
+def _follows(run: RunColumns, plan: PlanFile) -> bool:
+    """Whether the planned poses of a run are on the path of a plan."""
+    if plan.path is None:
+        return False
+    from scipy.spatial import KDTree
+
+    along = plan.path.sample(_SAME_PATH).poses[:, :2]
+    apart, _ = KDTree(along).query(run.planned[:, :2])
+    return bool(np.max(apart) <= _SAME_PATH)
+
+
+def _overview(chapters: Sequence[Chapter]) -> Iterator[Block]:
+    """Generate the blocks of the summary: counts with confidence intervals, and all files, the worst first."""
+    if len(chapters) > 1:
+        confidence = f"{100.0 * _CONFIDENCE:.0f} % confidence interval"
+        yield Table("Outcomes", ("files", "outcome", "number", "share", confidence), [*_counts(chapters)])
+    rows = [(chapter.title, chapter.outcome, chapter.summary) for chapter in chapters]
+    links = [f"file-{i}" for i in range(1, len(chapters) + 1)]
+    yield Table(
+        "Files, the worst results first" if len(chapters) > 1 else "", ("file", "outcome", "result"), rows, links
+    )
+
+
+def _counts(chapters: Sequence[Chapter]) -> Iterator[tuple[str, ...]]:
+    """Generate the share of every outcome among the files of its kind, with the confidence interval of Wilson."""
+    from scipy.stats import binomtest
+
+    totals = Counter(chapter.kind for chapter in chapters)
+    counts = Counter((chapter.kind, chapter.outcome) for chapter in chapters)
+    for kind, total in totals.items():
+        for outcome, count in ((one, count) for (of, one), count in counts.most_common() if of == kind):
+            low, high = binomtest(count, total).proportion_ci(_CONFIDENCE, method="wilson")
+            interval = f"{100.0 * low:.1f} to {100.0 * high:.1f} %"
+            yield kind, outcome, f"{count} of {total}", f"{100.0 * count / total:.1f} %", interval
