@@ -14,8 +14,10 @@ from optdock.cli.common import (
     SECONDS,
     BudgetOption,
     PlotOption,
+    ReportOption,
     VerboseOption,
     check_picture,
+    check_report,
     checked_positive,
     one_line,
     reported,
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.config import Scenario
+    from optdock.io.plan_file import PlanFile
     from optdock.planning.plan import DockPlan, PartialPlan
     from optdock.reports.comparison import PathFigures
 
@@ -45,12 +48,14 @@ class PlanOutputs(NamedTuple):
         picture: Picture of the plan.
         spacing: Largest distance between path samples [m].
         period: Largest time between trajectory samples [s].
+        report: HTML report.
     """
 
     file: Path | None = None
     picture: Path | None = None
     spacing: float = 0.02
     period: float = 0.02
+    report: Path | None = None
 
 
 _USUAL = PlanOutputs()
@@ -72,6 +77,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
         typer.Option(help="Write the trajectory as CSV, sampled with --period.", show_default=False),
     ] = None,
     plot: PlotOption = None,
+    report: ReportOption = None,
     profile: Annotated[
         Path | None,
         typer.Option(
@@ -103,9 +109,10 @@ def plan(  # noqa: PLR0913 - one parameter per option
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         check_picture("--profile", profile)
-        spare(scenario, out, csv, plot, profile)
+        check_report(report)
+        spare(scenario, out, csv, plot, profile, report)
         found = _loaded(scenario, _Nav2Sources(nav2_params, map_, docks, dock, start))
-        _plan_and_report(found, time_budget, PlanOutputs(out, plot, spacing, period), profile, csv)
+        _plan_and_report(found, time_budget, PlanOutputs(out, plot, spacing, period, report), profile, csv)
 
 
 class _Nav2Sources(NamedTuple):
@@ -142,7 +149,9 @@ def _plan_and_report(
         draw_profile(profile, scenario, found)
     if csv is not None:
         found.save_csv(csv, period=outputs.period)
-    written = ", ".join(str(path) for path in (outputs.file, csv, outputs.picture, profile) if path is not None)
+    written = ", ".join(
+        str(path) for path in (outputs.file, csv, outputs.picture, profile, outputs.report) if path is not None
+    )
     rows = [
         *plan_rows(found),
         *limit_rows(scenario.problem.robot.limits, scenario.default_limits),
@@ -170,9 +179,11 @@ def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOu
         return scenario.plan(time_budget)
     except OptdockError as error:
         if status_of(error) is not ExitStatus.BAD_INPUT:
+            failed = failed_plan_file(error, scenario.problem.frame)
             if outputs.file is not None:
-                save_plan(outputs.file, failed_plan_file(error, scenario.problem.frame), spacing=outputs.spacing)
+                save_plan(outputs.file, failed, spacing=outputs.spacing)
             with _secondary():
+                _write_report(outputs.report, scenario, failed)
                 _draw(outputs.picture, scenario, PartialPlan.left_by(error), one_line(error), error)
         raise
 
@@ -187,6 +198,16 @@ def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
     if outputs.file is not None:
         found.save(outputs.file, spacing=outputs.spacing, period=outputs.period)
     _draw(outputs.picture, scenario, found, f"certified, {found.trajectory.duration:.1f} s")
+    _write_report(outputs.report, scenario, found.as_file(outputs.period))
+
+
+def _write_report(target: Path | None, scenario: Scenario, plan: PlanFile) -> None:
+    """Write the report of a plan or a refusal."""
+    if target is not None:
+        from optdock.reports.html import plan_chapter, save_report
+
+        name = scenario.source.stem
+        save_report(target, name, [plan_chapter(name, plan, scenario.problem)])
 
 
 @contextmanager

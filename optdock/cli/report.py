@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from optdock.cli.common import VerboseOption, reported, spare
+from optdock.cli.common import VerboseOption, check_report, reported, spare
 
 __all__ = ["report"]
 
@@ -40,9 +40,9 @@ def report(
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
-        from optdock.reports.html import check_bokeh, read_chapters, save_report
+        from optdock.reports.html import read_chapters, save_report
 
-        check_bokeh()
+        check_report(out)
         for source in (*sources, *(scenario or ())):
             spare(source, out)
         problems = [load_scenario(source).problem for source in scenario or ()]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["RUN_FORMAT", "RunColumns", "load_run"]
+__all__ = ["RUN_FORMAT", "RunColumns", "load_run", "parse_run"]
 
 RUN_FORMAT = "optdock-run/1"
 
@@ -94,9 +94,21 @@ def load_run(source: str | Path) -> RunColumns:
     Raises:
         InvalidFile: If the file cannot be read, is not a run file, lacks a column, or its columns differ in length.
     """
-    source = Path(source)
+    return parse_run(read_text(Path(source), MostBytes.JSON), str(source))
+
+
+def parse_run(text: str, source: str) -> RunColumns:
+    """Parse the text of a run file.
+
+    Args:
+        text: Text of the file.
+        source: Name of the file for messages.
+
+    Raises:
+        InvalidFile: If the text is not that of a run file, lacks a column, or its columns differ in length.
+    """
     try:
-        document = _RunDocument.model_validate(parse_json(read_text(source, MostBytes.JSON)))
+        document = _RunDocument.model_validate(parse_json(text))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = shortened(".".join(str(part) for part in first["loc"]))

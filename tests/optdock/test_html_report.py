@@ -28,10 +28,12 @@ from optdock.reports.html.figures import PALETTE, swept_area
 from optdock.reports.html.html_report import _counts
 from optdock.reports.html.page import Chapter, Chart, Content, Player, Readout, Table
 from optdock.reports.html.plan_chapter import clearance_chart, plan_chapter
+from optdock.reports.html.survey_chapter import SurveyColumns, survey_chapter
 from optdock.reports.report import failed_plan_file, run_json
 from optdock.simulation import Run
 
 HOSTILE = "<script>alert(1)</script>&amp;\"'$$x$$.json"
+SQUARE = [(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)]  # around the start
 LINKS = {"src", "href", "srcset", "data", "poster", "action", "xlink:href", "background"}
 
 
@@ -306,6 +308,13 @@ def test_the_drawn_requirement_is_that_of_the_certificate(files, problem):
     assert f"required {required:.4f} m, margin {margin.values[0]:.4f} m" in chart.text
 
 
+def test_the_requirement_of_a_path_includes_the_tracking_tube(files, problem):
+    robot = dataclasses.replace(problem.robot, tracking=od.TrackingTube(cross=0.02))
+    chapter = plan_chapter("p", load_plan(files[0] / "plan.json"), dataclasses.replace(problem, robot=robot))
+    readouts = {one.label: np.array(one.values) for one in chapter.content().player.readouts}
+    assert np.max(readouts["clearance"] - readouts["margin"]) == pytest.approx(0.05 + 0.02)
+
+
 def test_the_swept_area_contains_the_outlines_and_has_the_area_of_a_straight_drive():
     box = od.Footprint.rectangle(0.4, 0.4, 0.6)
     poses = np.column_stack((np.linspace(0.0, 2.0, 300), np.zeros(300), np.zeros(300)))
@@ -340,13 +349,99 @@ def test_unknown_files_and_numbers_of_scenarios_are_refused(files, problem, tmp_
         read_chapters([tmp_path / "c.csv"])
 
 
-def test_the_command_writes_a_page_and_checks_its_output(files, problem, tmp_path):
+@pytest.fixture
+def surveyed():
+    """Two headings on a grid of 3 x 2 positions, of which one is occupied and one has no certified heading."""
+    rows = [(x, y, yaw) for yaw in (0.0, math.pi) for y in (0.0, 0.5) for x in (0.0, 0.5, 1.0)]
+    x, y, yaw = (list(column) for column in zip(*rows, strict=True))
+    seconds = [10.0 + xx + yy + turned for xx, yy, turned in rows]
+    verdict = ["certified"] * 12
+    verdict[0] = verdict[6] = "occupied"
+    verdict[1], verdict[7] = "impossible", "not_found"
+    verdict[2] = "impossible"
+    for row in (0, 1, 2, 6, 7):
+        seconds[row] = math.nan
+    same = {"dock": ["bay"] * 12, "robot": ["amr"] * 12, "answer": ["planned"] * 12, "cusps": [0] * 12}
+    return {**same, "x": x, "y": y, "yaw": yaw, "verdict": verdict, "seconds": seconds}
+
+
+def test_a_survey_counts_its_cells_and_shows_the_best_heading(surveyed):
+    chapter = survey_chapter(
+        "survey", SurveyColumns.of(surveyed, "t"), {"sentences": {"bay": "Fast."}, "ranking": ["bay"]}
+    )
+    assert chapter.summary == "1 docks, 12 cells; 70.0 % of the 10 free cells are certified"
+    blocks = chapter.content().blocks
+    tables = {block.title: block.rows for block in blocks if isinstance(block, Table)}
+    assert tables["Verdicts"] == [("bay", "amr", "12", "7", "2", "1", "2", "13.64")]
+    (chart,) = (block for block in blocks if isinstance(block, Chart))
+    assert chart.layers == ["best heading", "heading 0.0 degrees", "heading 180.0 degrees"]
+    images = [one.data_source.data["image"][0] for one in chart.figure.renderers]
+    longest, blocked, unfound, occupied = 249, 251, 252, 253
+    best = images[0].tolist()
+    assert best[0][:2] == [occupied, unfound]
+    assert images[1].tolist()[0] == [occupied, blocked, blocked]
+    assert best[1] == images[1].tolist()[1], "the first heading is faster"
+    assert best[0][2] == images[2].tolist()[0][2], "the only certified heading"
+    assert max(images[2].ravel().tolist()) in (longest, occupied)
+
+
+def test_a_large_survey_is_summarized_by_position(surveyed, monkeypatch):
+    monkeypatch.setattr("optdock.reports.html.survey_chapter._MOST_CELLS", 5)
+    (chart,) = (
+        block
+        for block in survey_chapter("s", SurveyColumns.of(surveyed, "t"), {}).content().blocks
+        if isinstance(block, Chart)
+    )
+    assert [layer.partition(",")[0] for layer in chart.layers] == ["best heading", "share of certified headings"]
+    share = chart.figure.renderers[1].data_source.data["image"][0]
+    assert share[0, 2] == 249 // 2
+    assert share[1].tolist() == [249, 249, 249]
+
+
+def test_surveys_are_read_from_their_folder(surveyed, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    import pyarrow
+
+    parquet.write_table(pyarrow.table(surveyed), tmp_path / "survey.parquet")
+    (tmp_path / "survey.json").write_text('{"format": "optdock-survey/1", "ranking": ["bay"]}')
+    (chapter,) = read_chapters([tmp_path])
+    assert chapter.numbers["verdicts"] == {"certified": 7, "impossible": 2, "not found": 1, "occupied": 2}
+    (tmp_path / "survey.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InvalidFile, match=r"survey.parquet: is not a Parquet file"):
+        read_chapters([tmp_path])
+    with pytest.raises(InvalidFile, match="t: has no column verdict"):
+        SurveyColumns.of({key: surveyed[key] for key in ("dock", "robot", "x", "y", "yaw")}, "t")
+
+
+@pytest.fixture
+def scenario(problem, tmp_path):
+    """The problem as a scenario file."""
+    path = tmp_path / "scenario.yaml"
+    path.write_text(json.dumps({"format": "optdock-scenario/1", **problem_document(problem)}))
+    return path
+
+
+def test_the_command_writes_a_page_and_checks_its_output(files, scenario, tmp_path):
     plan, out = files[0] / "plan.json", tmp_path / "report.html"
-    scenario = tmp_path / "scenario.yaml"
-    scenario.write_text(json.dumps({"format": "optdock-scenario/1", **problem_document(problem)}))
     done = CliRunner().invoke(app, ["report", str(plan), "--scenario", str(scenario), "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert "verdict certified" in read(out).text
     same = CliRunner().invoke(app, ["report", str(plan), "--out", str(plan)])
     assert same.exit_code == 2
     assert "would be overwritten" in same.output
+
+
+def test_plans_refusals_and_runs_write_reports(scenario, problem, tmp_path, monkeypatch):
+    """The chapters that the commands write, without drawing them."""
+    written = []
+    monkeypatch.setattr("optdock.reports.html.save_report", lambda target, title, chapters: written.append(chapters))
+    commands = [["plan", scenario, "--out", tmp_path / "p.json"], ["simulate", scenario, "--out", tmp_path / "r.json"]]
+    for command in commands:
+        done = CliRunner().invoke(app, [*map(str, command), "--report", str(tmp_path / "x.html")])
+        assert done.exit_code == 0, done.output
+    occupied = problem_document(dataclasses.replace(problem, obstacles=od.ObstacleSet.from_polygons([SQUARE])))
+    scenario.write_text(json.dumps({"format": "optdock-scenario/1", **occupied}))
+    assert CliRunner().invoke(app, [*map(str, commands[0]), "--report", str(tmp_path / "x.html")]).exit_code == 3
+    outcomes = [[(chapter.kind, chapter.outcome) for chapter in chapters] for chapters in written]
+    both = [("runs", "docked"), ("plans", "certified")]
+    assert outcomes == [[("plans", "certified")], both, [("plans", "StartOccupied")]]

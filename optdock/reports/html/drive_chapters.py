@@ -161,7 +161,7 @@ def _run_scene(run: RunColumns, problem: DockingProblem | None) -> Chart:
     if problem is not None:
         draw_area(axes, swept_area(problem.robot.footprint, run.poses), Outline("robot", "robot", 0.22))
         draw_outlines(axes, problem.robot.footprint, problem.goal.as_array()[None], Outline("", "goal"))
-        legend += [LegendEntry("swept area", "robot", "area"), LegendEntry("goal", "goal")]
+        legend += [LegendEntry("swept area", "robot", "faint"), LegendEntry("goal", "goal")]
     for label, poses, colour, dash in (
         ("driven", run.poses, "path", "solid"),
         ("planned", run.planned, "raw", "dashed"),
@@ -264,7 +264,7 @@ def _log_scene(log: DockingLog, detected: FloatArray) -> Chart:
     draw_outlines(axes, problem.robot.footprint, problem.goal.as_array()[None], Outline("", "goal"))
     draw_robot(axes, problem.robot.footprint, poses[0])
     legend += [
-        LegendEntry("swept area", "robot", "area"), LegendEntry("measured poses", "path"),
+        LegendEntry("swept area", "robot", "faint"), LegendEntry("measured poses", "path"),
         LegendEntry("planned paths", "raw"), LegendEntry("detected docks", "start", "point"),
         LegendEntry("stored dock", "goal"),
     ]  # fmt: skip

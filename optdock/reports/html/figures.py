@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from bokeh import plotting
     from bokeh.models import GlyphRenderer
+    from numpy.typing import NDArray
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
@@ -44,6 +45,7 @@ __all__ = [
     "draw_outlines",
     "draw_point",
     "draw_robot",
+    "layer_figure",
     "scene_figure",
     "swept_area",
 ]
@@ -66,11 +68,12 @@ PALETTE: Mapping[str, tuple[str, str]] = {
     "grid": ("#E3E6EA", "#2B3138"),
     "unknown": ("#D9DDE1", "#2E353C"),
     "occupied": ("#464B50", "#AAB2BA"),
+    "impossible": ("#5B1F4A", "#7D3A6C"),
 }
 _MOST_CELLS = 400  # of a drawn map along each side
 _SWEPT = 0.02  # [m] between outlines of the swept area
 _SMOOTH = 0.002  # [m]: tolerance of the outline of the swept area
-_CURSOR, _ROBOT = "cursor", "robot"  # names of the models that the page moves
+_CURSOR, _ROBOT, _LAYER = "cursor", "robot", "layer"  # names of the models that the page moves or shows
 
 
 class Curve(NamedTuple):
@@ -94,7 +97,7 @@ class Curve(NamedTuple):
 
 
 class LegendEntry(NamedTuple):
-    """Entry of a legend: text, colour in `PALETTE`, and `line`, `dashed`, `dotted`, `area` or `point`."""
+    """Entry of a legend: text, colour in `PALETTE`, and `line`, `dashed`, `dotted`, `area`, `faint` or `point`."""
 
     label: str
     colour: str
@@ -308,6 +311,44 @@ def scene_figure(view: View, problem: DockingProblem | None = None) -> tuple[plo
         draw_area(axes, shapely.intersection(merged, box), Outline(colour, colour))
         legend += [LegendEntry(colour, colour, "area")] if polygons else []
     return axes, legend
+
+
+def layer_figure(x: FloatArray, y: FloatArray, layers: Sequence[NDArray[np.uint8]], longest: float) -> plotting.figure:
+    """Return maps of a grid, one on top of the other, of which the page shows one.
+
+    Args:
+        x: Positions of the columns, increasing [m].
+        y: Positions of the rows, increasing [m].
+        layers: Codes of the cells, Shape (rows, columns) each: 0 to 249 for durations from 0 to `longest`, 250 empty,
+            251 impossible, 252 not found, 253 occupied.
+        longest: Largest duration of the colour scale [s].
+
+    Raises:
+        MissingExtra: If Bokeh is not installed.
+    """
+    axes = axes_of("x [m]", "y [m]", sizing_mode="stretch_both", match_aspect=True)
+    from bokeh.models import ColorBar, LinearColorMapper
+    from bokeh.palettes import viridis
+
+    scale = viridis(250)
+    marks = [PALETTE[name][0] for name in ("paper", "impossible", "hot", "occupied")]
+    mapper = LinearColorMapper(palette=[*scale, *marks], low=-0.5, high=len(scale) + len(marks) - 0.5)
+    wide, high = (float(np.diff(axis).min()) if axis.size > 1 else 1.0 for axis in (x, y))
+    place = {
+        "x": [x[0] - 0.5 * wide],
+        "y": [y[0] - 0.5 * high],
+        "dw": [x[-1] - x[0] + wide],
+        "dh": [y[-1] - y[0] + high],
+    }
+    for number, codes in enumerate(layers):
+        image = _draw(axes, "Image", {"image": [codes], **place}, f"{_LAYER}-{number}", color_mapper=mapper)
+        image.visible = number == 0
+    ink, paper = PALETTE["muted"][0], PALETTE["paper"][0]
+    seconds = LinearColorMapper(palette=scale, low=0.0, high=longest)
+    bar = ColorBar(color_mapper=seconds, title="time [s]", title_text_color=ink, major_label_text_color=ink, width=12)
+    bar.background_fill_color = paper
+    axes.add_layout(bar, "right")
+    return axes
 
 
 def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> None:

@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import InvalidFile, InvalidValue
+from optdock.errors import InvalidFile, InvalidValue, MissingExtra
 from optdock.executor.log import LOG_FORMAT, read_log
 from optdock.io.atomic_file import write_text
-from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.guarded_file import MostBytes, check_regular, parse_json, read_text
 from optdock.io.plan_file import PLAN_FORMAT, load_plan
 from optdock.io.quoting import shown
 from optdock.io.run_file import RUN_FORMAT, load_run
+from optdock.reports.html.comparison_chapter import comparison_chapter, is_comparison
 from optdock.reports.html.drive_chapters import log_chapter, run_chapter
 from optdock.reports.html.page import Table, html_page
 from optdock.reports.html.plan_chapter import plan_chapter
-from optdock.reports.html.table_chapters import comparison_chapter, is_comparison
+from optdock.reports.html.survey_chapter import SurveyColumns, survey_chapter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,7 +34,7 @@ __all__ = ["read_chapters", "save_report"]
 
 _CONFIDENCE = 0.95
 _WITH_PROBLEM = (PLAN_FORMAT, RUN_FORMAT)
-_COMPARISON = "comparison"
+_COMPARISON, _SURVEY = "comparison", "survey"
 _BEGIN = 2000  # characters in which a file states its format
 _SAME_PATH = 0.01  # [m]: largest distance of the planned poses of a run from the path that it follows
 _FORMAT = re.compile(r'"format"\s*:\s*"(?P<name>[^"\n]*)"')
@@ -87,6 +88,8 @@ def read_chapters(sources: Sequence[Path], problems: Sequence[DockingProblem] = 
             chapters.append(run_chapter(source.name, run, problem, driven))
         elif kind == LOG_FORMAT:
             chapters.append(log_chapter(source.name, read_log(source)))
+        elif kind == _SURVEY:
+            chapters.append(_survey_chapter(source))
         else:
             chapters.append(comparison_chapter(source.name, read_text(source, MostBytes.JSON)))
     return chapters
@@ -99,12 +102,39 @@ def _plan_chapter(source: Path, plan: PlanFile, problem: DockingProblem | None) 
         raise InvalidFile(f"{source}: {error}") from error
 
 
+def _survey_chapter(folder: Path) -> Chapter:
+    """Read a survey.
+
+    Raises:
+        InvalidFile: If a file of the survey cannot be read.
+        MissingExtra: If pyarrow is not installed.
+    """
+    cells = folder / "survey.parquet"
+    check_regular(cells, MostBytes.LOG)
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError as error:
+        raise MissingExtra("surveys need pyarrow: pip install pyarrow") from error
+    try:
+        table = parquet.read_table(cells)
+    except (ArrowException, OSError) as error:
+        raise InvalidFile(f"{cells}: is not a Parquet file: {error}") from error
+    columns = {name: table[name].to_numpy() for name in table.column_names if name in SurveyColumns._fields}
+    try:
+        head = parse_json(read_text(folder / "survey.json", MostBytes.JSON))
+    except ValueError as error:
+        raise InvalidFile(f"{folder / 'survey.json'}: is not JSON: {error}") from error
+    return survey_chapter(folder.name, SurveyColumns.of(columns, str(cells)), head if isinstance(head, dict) else {})
+
+
 def _kind_of(source: Path) -> str:
     """Return the format that a file states near its beginning, or the kind of a file without such a line.
 
     Raises:
         InvalidFile: If the file has no known format.
     """
+    if source.is_dir() and (source / "survey.json").exists():
+        return _SURVEY
     begin = read_text(source, MostBytes.LOG)[:_BEGIN]
     if is_comparison(begin):
         return _COMPARISON
@@ -112,7 +142,9 @@ def _kind_of(source: Path) -> str:
     if found is None or found["name"] not in (*_WITH_PROBLEM, LOG_FORMAT):
         known = ", ".join((*_WITH_PROBLEM, LOG_FORMAT))
         got = "no format" if found is None else f"format {shown(found['name'])}"
-        raise InvalidFile(f"{source}: must be a comparison.csv or have one of the formats {known}, got {got}")
+        raise InvalidFile(
+            f"{source}: must be a comparison.csv, the folder of a survey, or have one of the formats {known}, got {got}"
+        )
     return found["name"]
 
 

@@ -57,6 +57,7 @@ class Chart(NamedTuple):
         figure: The figure.
         legend: Legend below the title.
         ratio: Width divided by height of a scene; 0 for other figures.
+        layers: Names of the layers of the figure, of which the page shows one; empty without layers.
     """
 
     title: str
@@ -64,6 +65,7 @@ class Chart(NamedTuple):
     figure: plotting.figure
     legend: Sequence[LegendEntry] = ()
     ratio: float = 0.0
+    layers: Sequence[str] = ()
 
 
 class Table(NamedTuple):

@@ -329,7 +329,7 @@ def _scene(
     if motion is not None and problem is not None:
         dense = plan.path.sample(_SPACING).poses if plan.path is not None else motion.poses
         draw_area(axes, swept_area(problem.robot.footprint, dense), Outline("robot", "robot", 0.22))
-        legend.append(LegendEntry("swept area", "robot", "area"))
+        legend.append(LegendEntry("swept area", "robot", "faint"))
     legend += _draw_paths(axes, plan)
     if problem is not None:
         legend += _draw_ends(axes, problem)
@@ -411,4 +411,4 @@ def _draw_proof(axes: plotting.figure, plan: PlanFile, problem: DockingProblem) 
         colour = "start" if proof.end == "start" else "goal"
         reached = shapely.union_all([shapely.Polygon(square) for square in proof.squares()])
         draw_area(axes, reached, Outline(colour, "", 0.3))
-        yield LegendEntry(f"enclosed area around the {proof.end}", colour, "area")
+        yield LegendEntry(f"enclosed area around the {proof.end}", colour, "faint")

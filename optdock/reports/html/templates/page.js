@@ -17,6 +17,7 @@
     drawn.set(place.id, null);
     await Bokeh.embed.embed_item(JSON.parse(coloured(source.textContent)), place.id);
     drawn.set(place.id, Bokeh.documents[Bokeh.documents.length - 1]);
+    maps.get(place.id)?.show();
     if (chapter) players.get(chapter)?.show();
     await new Promise((resume) => setTimeout(resume, 0));
   }
@@ -105,6 +106,24 @@
     return { show };
   }
 
+  function layers(box) {
+    const names = JSON.parse(box.querySelector("script").textContent);
+    const slider = box.querySelector("input"), output = box.querySelector("output");
+    const show = () => {
+      const figure = drawn.get(box.dataset.for);
+      names.forEach((name, i) => {
+        const layer = figure?.get_model_by_name(`layer-${i}`);
+        if (layer) layer.visible = i === slider.valueAsNumber;
+      });
+      output.textContent = names[slider.valueAsNumber];
+      slider.setAttribute("aria-valuetext", output.textContent);
+    };
+    slider.addEventListener("input", show);
+    return { show };
+  }
+
+  const maps = new Map();
+  for (const box of document.querySelectorAll(".layers")) maps.set(box.dataset.for, layers(box));
   const players = new Map();
   for (const chapter of document.querySelectorAll("details.chapter")) {
     if (chapter.querySelector(".player")) players.set(chapter, player(chapter));

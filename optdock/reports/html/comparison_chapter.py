@@ -1,4 +1,4 @@
-"""Chapters of tables: comparisons of raw and smoothed paths, and surveys of docks."""
+"""Chapter of a comparison of raw and smoothed paths."""
 
 from __future__ import annotations
 
