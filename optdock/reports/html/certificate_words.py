@@ -128,12 +128,12 @@ def plan_tables(plan: PlanFile, verdict: PlanFileVerdict | None) -> Iterator[Tab
     certificate = [*_certificate_rows(plan.certificate or {})]
     if certificate:
         yield Table("Certificate in the file", ("quantity", "value", "unit"), certificate)
-    if plan.tried:
-        head = ("guess of", "length [m]", "cusps", "time [ms]", "price [s]", "result")
-        yield Table("Tried guesses", head, [_tried_row(one) for one in plan.tried])
     if plan.timing_ms:
         rows = [(stage, f"{value:.1f}") for stage, value in plan.timing_ms.items()]
         yield Table("Time of the call", ("stage", "time [ms]"), rows)
+    if plan.tried:
+        head = ("guess of", "length [m]", "cusps", "time [ms]", "price [s]", "result")
+        yield Table("Tried guesses", head, [_tried_row(one) for one in plan.tried])
 
 
 def _certificate_rows(certificate: Mapping[str, object]) -> Iterator[tuple[str, str, str]]:

@@ -295,10 +295,12 @@ def scene_figure(view: View, problem: DockingProblem | None = None) -> tuple[plo
     legend: list[LegendEntry] = []
     if problem is None:
         return axes, legend
-    if problem.costmap is not None:
-        _draw_map(axes, problem.costmap, view)
-        legend += [LegendEntry("map, occupied", "occupied", "area"), LegendEntry("map, unknown", "unknown", "area")]
     box = shapely.box(left, bottom, right, top)
+    if problem.costmap is not None:
+        legend += _draw_map(axes, problem.costmap, view)
+        beyond = box - shapely.box(*problem.costmap.lower, *problem.costmap.upper)
+        draw_area(axes, beyond, Outline("unknown"))
+        legend += [] if beyond.is_empty else [LegendEntry("beyond the map", "unknown", "area")]
     obstacles = problem.all_obstacles.in_box(np.array([left, bottom]), np.array([right, top]))
     hidden = DRAWN_BY_THE_MAP if problem.costmap is not None else ()
     shapes: dict[str, list[FloatArray]] = {"obstacle": [], "dock": []}
@@ -351,7 +353,7 @@ def layer_figure(x: FloatArray, y: FloatArray, layers: Sequence[NDArray[np.uint8
     return axes
 
 
-def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> None:
+def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> list[LegendEntry]:
     """Draw the cells of the map in the view; blocks of cells of large maps show their worst cell."""
     from bokeh.models import LinearColorMapper
 
@@ -359,7 +361,7 @@ def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> None:
     first = np.maximum(0, np.floor((np.array([view.bottom, view.left]) - (y0, x0)) / side).astype(int))
     last = np.minimum(costmap.data.shape, np.ceil((np.array([view.top, view.right]) - (y0, x0)) / side).astype(int))
     if np.any(last <= first):
-        return
+        return []
     costs = costmap.data[first[0] : last[0], first[1] : last[1]]
     grade = np.zeros(costs.shape, dtype=np.uint8)
     grade[costs == NO_INFORMATION] = 1
@@ -374,6 +376,8 @@ def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> None:
     size = {"dw": [side * block * columns], "dh": [side * block * rows]}
     mapper = LinearColorMapper(palette=palette, low=-0.5, high=2.5)
     _draw(axes, "Image", {"image": [cells], **place, **size}, color_mapper=mapper).level = "underlay"
+    shown = [name for grade_of, name in ((2, "occupied"), (1, "unknown")) if np.any(cells == grade_of)]
+    return [LegendEntry(f"map, {name}", name, "area") for name in shown]
 
 
 def draw_area(axes: plotting.figure, area: shapely.Geometry, style: Outline) -> None:
