@@ -26,7 +26,8 @@ def report(
     scenario: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Scenario of the plans and runs: one for all, or one for each in their order; gives scene and limits.",
+            help="Scenario with the scene of the plans and runs: one for all, one for each in their order, or a folder "
+            "with x.yaml for each x.json.",
             show_default=False,
         ),
     ] = None,
@@ -45,7 +46,12 @@ def report(
         check_report(out)
         for source in (*sources, *(scenario or ())):
             spare(source, out)
-        problems = [load_scenario(source).problem for source in scenario or ()]
-        chapters = read_chapters(sources, problems)
+        given = scenario or []
+        if len(given) == 1 and given[0].is_dir():
+            named = {source.stem: given[0] / f"{source.stem}.yaml" for source in sources}
+            by_name = {stem: load_scenario(path).problem for stem, path in named.items() if path.exists()}
+            chapters = read_chapters(sources, by_name)
+        else:
+            chapters = read_chapters(sources, [load_scenario(source).problem for source in given])
         save_report(out, title, chapters)
         typer.echo(f"{out}: {len(chapters)} files")

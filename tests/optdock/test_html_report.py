@@ -24,6 +24,7 @@ from optdock.io.plan_file import PlanError, PlanFile, load_plan, save_plan
 from optdock.reports.comparison import PathFigures, comparison_csv
 from optdock.reports.html import check_bokeh, read_chapters, save_report
 from optdock.reports.html import page as page_module
+from optdock.reports.html.comparison_chapter import comparison_chapter
 from optdock.reports.html.figures import PALETTE, swept_area
 from optdock.reports.html.html_report import _counts
 from optdock.reports.html.page import Chapter, Chart, Content, Player, Readout, Table
@@ -419,6 +420,30 @@ def scenario(problem, tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(json.dumps({"format": "optdock-scenario/1", **problem_document(problem)}))
     return path
+
+
+def test_scenarios_are_given_for_each_file_or_by_name(files, problem, scenario, tmp_path):
+    folder, closed = files
+    sources = [folder / "plan.json", folder / "refused.json"]
+    wanted = ["certified", "impossible, proven"]
+    assert [one.outcome for one in read_chapters(sources, [problem, closed])] == wanted
+    assert [one.outcome for one in read_chapters(sources, {"refused": closed})] == ["certified, not checked", wanted[1]]
+    (tmp_path / "plan.yaml").write_text(scenario.read_text())
+    out = tmp_path / "report.html"
+    command = ["report", str(folder / "plan.json"), "--scenario", str(tmp_path), "--out", str(out)]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert read(out).numbers["files"][0]["outcome"] == "certified"
+
+
+def test_comparisons_of_several_smoothers_have_one_series_for_each():
+    text = "scenario,path,status,length_m,smoother,cusps,max_curvature_rate_1pm2,reason\n"
+    text += 'a,raw,not certified,2,,0,,\na,smoothed,certified,3,One,1,0.5,\na,smoothed,X,,Two,,,"too, bad"\n'
+    chapter = comparison_chapter("c.csv", text)
+    assert chapter.summary == "1 scenarios, 1 of 2 smoothed paths certified"
+    table, *charts = chapter.content().blocks
+    assert table.rows[2] == ("1", "a", "smoothed", "X", "", "", "", "Two", "too, bad")
+    assert [chart.title for chart in charts] == ["Length", "Cusps", "Max curvature rate"]
+    assert charts[0].text.startswith("raw: mean 2 of 1; smoothed by One: mean 3 of 1; smoothed by Two: none")
 
 
 def test_the_command_writes_a_page_and_checks_its_output(files, scenario, tmp_path):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidFile
 from optdock.io.quoting import shown
@@ -18,9 +19,22 @@ if TYPE_CHECKING:
 __all__ = ["comparison_chapter", "is_comparison"]
 
 _KEYS = ("scenario", "path", "status")
-_UNITS = {"m": "m", "1pm": "1/m", "deg": "deg", "s": "s", "ms": "ms"}  # suffixes of columns
-_SERIES = ("raw", "path", "start", "reverse", "goal")  # colours
+_TEXTS = (*_KEYS, "smoother", "reason")  # columns without numbers
+_UNITS = {"m": "m", "1pm": "1/m", "1pm2": "1/m^2", "deg": "deg", "s": "s", "ms": "ms"}  # suffixes of columns
+_SERIES = ("raw", "path", "start", "reverse", "goal", "dock", "robot")  # colours
 _MOST_BARS = 40  # groups of a chart
+
+
+class _Row(NamedTuple):
+    """One path: its texts and its numbers by column, nan if missing."""
+
+    texts: Mapping[str, str]
+    numbers: Mapping[str, float]
+
+    @property
+    def kind(self) -> str:
+        smoother = self.texts.get("smoother")
+        return f"{self.texts['path']} by {smoother}" if smoother else self.texts["path"]
 
 
 def is_comparison(text: str) -> bool:
@@ -29,7 +43,7 @@ def is_comparison(text: str) -> bool:
 
 
 def comparison_chapter(name: str, text: str) -> Chapter:
-    """Return the chapter of a comparison of paths; further numeric columns and kinds of paths are shown as well.
+    """Return the chapter of a comparison of paths; further columns of numbers are shown as well.
 
     Args:
         name: Name of the file.
@@ -38,36 +52,44 @@ def comparison_chapter(name: str, text: str) -> Chapter:
     Raises:
         InvalidFile: If a row has another number of cells than the head, or a cell is not a number.
     """
-    head, *rows = csv.reader(io.StringIO(text))
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(head):
-            raise InvalidFile(f"{name}:{number}: must have {len(head)} cells, got {len(row)}")
-    values = [[_number(name, i, head, row, k) for k in range(len(_KEYS), len(head))] for i, row in enumerate(rows, 2)]
-    scenarios = [*dict.fromkeys(row[0] for row in rows)]
-    kinds = [*dict.fromkeys(row[1] for row in rows)]
-    certified = sum(row[2] == "certified" for row in rows if row[1] != "raw")
-    count = sum(row[1] != "raw" for row in rows)
-    numbered = [
-        (str(scenarios.index(row[0]) + 1), *row[:3], *("" if math.isnan(v) else f"{v:.4g}" for v in of))
-        for row, of in zip(rows, values, strict=True)
-    ]
-    numbers = {"rows": [dict(zip(head, row, strict=True)) for row in rows]}
-    summary = f"{len(scenarios)} scenarios, {certified} of {count} smoothed paths certified"
-    grade, severity = ("good", 2.0) if certified == count else ("neutral", 1.5)
-
-    def content() -> Content:
-        table = Table("Paths", ("#", *_KEYS, *(" ".join(_title(column)) for column in head[3:])), numbered)
-        found = {(row[0], row[1]): of for row, of in zip(rows, values, strict=True)}
-        return Content([table, *_charts(head, found, scenarios, kinds)])
-
+    head, *lines = csv.reader(io.StringIO(text))
+    rows = [_row(f"{name}:{number}", head, line) for number, line in enumerate(lines, start=2)]
+    smoothed = [row.texts["status"] for row in rows if row.texts["path"] != "raw"]
+    certified = smoothed.count("certified")
+    scenarios = [*dict.fromkeys(row.texts["scenario"] for row in rows)]
+    summary = f"{len(scenarios)} scenarios, {certified} of {len(smoothed)} smoothed paths certified"
+    grade, severity = ("good", 2.0) if certified == len(smoothed) else ("neutral", 1.5)
+    numbers = {"rows": [dict(zip(head, line, strict=True)) for line in lines]}
+    content = functools.partial(_content, head, rows, scenarios)
     return Chapter(name, "comparisons", "compared", grade, summary, content, numbers, (severity, 0.0))
 
 
-def _number(name: str, line: int, head: Sequence[str], row: Sequence[str], column: int) -> float:
+def _row(place: str, head: Sequence[str], line: Sequence[str]) -> _Row:
+    if len(line) != len(head):
+        raise InvalidFile(f"{place}: must have {len(head)} cells, got {len(line)}")
+    cells = dict(zip(head, line, strict=True))
+    numbers = {column: _number(place, column, cells[column]) for column in head if column not in _TEXTS}
+    return _Row({one: cells[one] for one in head if one in _TEXTS}, numbers)
+
+
+def _number(place: str, column: str, cell: str) -> float:
     try:
-        return float(row[column]) if row[column] else math.nan
+        return float(cell or math.nan)
     except ValueError:
-        raise InvalidFile(f"{name}:{line}: {head[column]}: must be a number, got {shown(row[column])}") from None
+        raise InvalidFile(f"{place}: {column}: must be a number, got {shown(cell)}") from None
+
+
+def _content(head: Sequence[str], rows: Sequence[_Row], scenarios: Sequence[str]) -> Content:
+    columns = [one for one in head if one not in _TEXTS]
+    texts = [one for one in head if one in _TEXTS]
+    titles = ("#", *texts[: len(_KEYS)], *(" ".join(_title(one)) for one in columns), *texts[len(_KEYS) :])
+    cells = []
+    for row in rows:
+        numbers = ("" if math.isnan(row.numbers[one]) else f"{row.numbers[one]:.4g}" for one in columns)
+        known = [row.texts[one] for one in texts]
+        number = str(scenarios.index(known[0]) + 1)
+        cells.append((number, *known[: len(_KEYS)], *numbers, *known[len(_KEYS) :]))
+    return Content([Table("Paths", titles, cells), *_charts(columns, rows, scenarios)])
 
 
 def _title(column: str) -> tuple[str, str]:
@@ -77,22 +99,20 @@ def _title(column: str) -> tuple[str, str]:
     return (column.replace("_", " "), "") if unit is None else (name.replace("_", " "), f"[{unit}]")
 
 
-def _charts(
-    head: Sequence[str],
-    values: Mapping[tuple[str, str], Sequence[float]],
-    scenarios: Sequence[str],
-    kinds: Sequence[str],
-) -> Iterator[Chart]:
+def _charts(columns: Sequence[str], rows: Sequence[_Row], scenarios: Sequence[str]) -> Iterator[Chart]:
     groups = scenarios[:_MOST_BARS]
-    missing = [math.nan] * (len(head) - len(_KEYS))
-    colours = dict(zip(_SERIES, kinds, strict=False))
-    for k, column in enumerate(head[len(_KEYS) :]):
-        bars = {colour: [values.get((one, kind), missing)[k] for one in groups] for colour, kind in colours.items()}
+    numbers = {(row.texts["scenario"], row.kind): row.numbers for row in rows}
+    colours = dict(zip(_SERIES, dict.fromkeys(row.kind for row in rows), strict=False))
+    legend = [LegendEntry(kind, colour, "area") for colour, kind in colours.items()]
+    for column in columns:
+        bars = {
+            colour: [numbers.get((one, kind), {}).get(column, math.nan) for one in groups]
+            for colour, kind in colours.items()
+        }
         name, unit = _title(column)
         figure = bar_figure([str(i) for i in range(1, len(groups) + 1)], bars, f"{name} {unit}".strip())
         means = []
         for colour, kind in colours.items():
             known = [value for value in bars[colour] if math.isfinite(value)]
             means.append(f"{kind}: mean {sum(known) / len(known):.4g} of {len(known)}" if known else f"{kind}: none")
-        legend = [LegendEntry(kind, colour, "area") for colour, kind in colours.items()]
         yield Chart(name.capitalize(), f"{'; '.join(means)}; numbers of scenarios as in the table.", figure, legend)

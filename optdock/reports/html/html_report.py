@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,12 +57,15 @@ def save_report(target: str | Path, title: str, chapters: Sequence[Chapter]) -> 
     write_text(target, html_page(title, [*_overview(ranked)], ranked))
 
 
-def read_chapters(sources: Sequence[Path], problems: Sequence[DockingProblem] = ()) -> list[Chapter]:
+def read_chapters(
+    sources: Sequence[Path], problems: Sequence[DockingProblem] | Mapping[str, DockingProblem] = ()
+) -> list[Chapter]:
     """Read files of any kind and return their chapters; a run is compared with the plan among the files that it drove.
 
     Args:
         sources: The files.
-        problems: Problems of the plans and runs: none, one for all, or one for each in their order.
+        problems: Problems of the plans and runs: none, one for all, one for each in their order, or by the names of
+            the files without suffix.
 
     Raises:
         InvalidFile: If a file cannot be read or has an unknown format.
@@ -70,9 +74,14 @@ def read_chapters(sources: Sequence[Path], problems: Sequence[DockingProblem] = 
     """
     kinds = [_kind_of(source) for source in sources]
     wanting = sum(kind in _WITH_PROBLEM for kind in kinds)
-    if len(problems) > 1 and len(problems) != wanting:
+    if isinstance(problems, Mapping):
+        given = iter(
+            [problems.get(source.stem) for source, kind in zip(sources, kinds, strict=True) if kind in _WITH_PROBLEM]
+        )
+    elif len(problems) in (0, 1, wanting):
+        given = iter(problems if len(problems) > 1 else [*problems] * wanting)
+    else:
         raise InvalidValue(f"scenarios: give one, or one for each of the {wanting} plans and runs, got {len(problems)}")
-    given = iter(problems if len(problems) > 1 else [*problems] * wanting)
     files = [
         (source, kind, next(given, None) if kind in _WITH_PROBLEM else None)
         for source, kind in zip(sources, kinds, strict=True)
