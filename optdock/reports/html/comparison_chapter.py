@@ -110,7 +110,7 @@ def _charts(columns: Sequence[str], rows: Sequence[_Row], scenarios: Sequence[st
             for colour, kind in colours.items()
         }
         name, unit = _title(column)
-        figure = bar_figure([str(i) for i in range(1, len(groups) + 1)], bars, f"{name} {unit}".strip())
+        figure = bar_figure([str(i) for i in range(1, len(groups) + 1)], bars, unit or "[1]")
         means = []
         for colour, kind in colours.items():
             known = [value for value in bars[colour] if math.isfinite(value)]

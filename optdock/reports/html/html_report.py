@@ -73,19 +73,7 @@ def read_chapters(
         MissingExtra: If Bokeh is not installed.
     """
     kinds = [_kind_of(source) for source in sources]
-    wanting = sum(kind in _WITH_PROBLEM for kind in kinds)
-    if isinstance(problems, Mapping):
-        given = iter(
-            [problems.get(source.stem) for source, kind in zip(sources, kinds, strict=True) if kind in _WITH_PROBLEM]
-        )
-    elif len(problems) in (0, 1, wanting):
-        given = iter(problems if len(problems) > 1 else [*problems] * wanting)
-    else:
-        raise InvalidValue(f"scenarios: give one, or one for each of the {wanting} plans and runs, got {len(problems)}")
-    files = [
-        (source, kind, next(given, None) if kind in _WITH_PROBLEM else None)
-        for source, kind in zip(sources, kinds, strict=True)
-    ]
+    files = [*zip(sources, kinds, _problem_of_each(sources, kinds, problems), strict=True)]
     plans = [load_plan(source) if kind == PLAN_FORMAT else None for source, kind, _ in files]
     chapters = []
     for (source, kind, problem), plan in zip(files, plans, strict=True):
@@ -102,6 +90,23 @@ def read_chapters(
         else:
             chapters.append(comparison_chapter(source.name, read_text(source, MostBytes.JSON)))
     return chapters
+
+
+def _problem_of_each(
+    sources: Sequence[Path], kinds: Sequence[str], problems: Sequence[DockingProblem] | Mapping[str, DockingProblem]
+) -> list[DockingProblem | None]:
+    """Return the problem of every file; None if it needs none, or if none is given for it.
+
+    Raises:
+        InvalidValue: If there are several problems, but not one for each plan and run.
+    """
+    if isinstance(problems, Mapping):
+        return [problems.get(source.stem) for source in sources]
+    wanting = sum(kind in _WITH_PROBLEM for kind in kinds)
+    if len(problems) not in (0, 1, wanting):
+        raise InvalidValue(f"scenarios: give one, or one for each of the {wanting} plans and runs, got {len(problems)}")
+    given = iter([*problems] * wanting if len(problems) == 1 else problems)
+    return [next(given, None) if kind in _WITH_PROBLEM else None for kind in kinds]
 
 
 def _plan_chapter(source: Path, plan: PlanFile, problem: DockingProblem | None) -> Chapter:
@@ -170,9 +175,10 @@ def _follows(run: RunColumns, plan: PlanFile) -> bool:
 
 def _overview(chapters: Sequence[Chapter]) -> Iterator[Block]:
     """Generate the blocks of the summary: counts with confidence intervals, and all files, the worst first."""
-    if len(chapters) > 1:
+    counts = [*_counts(chapters)]
+    if counts:
         confidence = f"{100.0 * _CONFIDENCE:.0f} % confidence interval"
-        yield Table("Outcomes", ("files", "outcome", "number", "share", confidence), [*_counts(chapters)])
+        yield Table("Outcomes", ("files", "outcome", "number", "share", confidence), counts)
     rows = [(chapter.title, chapter.outcome, chapter.summary) for chapter in chapters]
     links = [f"file-{i}" for i in range(1, len(chapters) + 1)]
     yield Table(
@@ -181,12 +187,12 @@ def _overview(chapters: Sequence[Chapter]) -> Iterator[Block]:
 
 
 def _counts(chapters: Sequence[Chapter]) -> Iterator[tuple[str, ...]]:
-    """Generate the share of every outcome among the files of its kind, with the confidence interval of Wilson."""
+    """Generate the share of every outcome among several files of its kind, with the confidence interval of Wilson."""
     from scipy.stats import binomtest
 
     totals = Counter(chapter.kind for chapter in chapters)
     counts = Counter((chapter.kind, chapter.outcome) for chapter in chapters)
-    for kind, total in totals.items():
+    for kind, total in ((kind, total) for kind, total in totals.items() if total > 1):
         for outcome, count in ((one, count) for (of, one), count in counts.most_common() if of == kind):
             low, high = binomtest(count, total).proportion_ci(_CONFIDENCE, method="wilson")
             interval = f"{100.0 * low:.1f} to {100.0 * high:.1f} %"
