@@ -60,6 +60,7 @@ def _series_charts(series: Sequence[_Series], marks: Sequence[float] = ()) -> It
         figure = curve_figure(curves, (_TIME, f"{title} [{unit}]"), (float(first[0]), float(first[-1])), marks=marks)
         ranges = (f"{one.label} from {np.nanmin(one.y):.3f} to {np.nanmax(one.y):.3f} {unit}" for one in curves)
         legend = [LegendEntry(one.label, one.colour, "line" if one.dash == "solid" else one.dash) for one in curves]
+        legend += [LegendEntry("planning result", "muted", "dotted")] if len(marks) else []
         yield Chart(title.capitalize(), f"{'; '.join(ranges)}.", figure, legend)
 
 

@@ -75,20 +75,22 @@ def read_chapters(
     kinds = [_kind_of(source) for source in sources]
     files = [*zip(sources, kinds, _problem_of_each(sources, kinds, problems), strict=True)]
     plans = [load_plan(source) if kind == PLAN_FORMAT else None for source, kind, _ in files]
+    seen = Counter(source.name for source in sources)
     chapters = []
     for (source, kind, problem), plan in zip(files, plans, strict=True):
+        name = source.name if seen[source.name] == 1 else str(source)
         if plan is not None:
-            chapters.append(_plan_chapter(source, plan, problem))
+            chapters.append(_plan_chapter(name, plan, problem))
         elif kind == RUN_FORMAT:
             run = load_run(source)
             driven = next((one for one in plans if one is not None and _follows(run, one)), None)
-            chapters.append(run_chapter(source.name, run, problem, driven))
+            chapters.append(run_chapter(name, run, problem, driven))
         elif kind == LOG_FORMAT:
-            chapters.append(log_chapter(source.name, read_log(source)))
+            chapters.append(log_chapter(name, read_log(source)))
         elif kind == _SURVEY:
-            chapters.append(_survey_chapter(source))
+            chapters.append(_survey_chapter(name, source))
         else:
-            chapters.append(comparison_chapter(source.name, read_text(source, MostBytes.JSON)))
+            chapters.append(comparison_chapter(name, read_text(source, MostBytes.JSON)))
     return chapters
 
 
@@ -109,14 +111,14 @@ def _problem_of_each(
     return [next(given, None) if kind in _WITH_PROBLEM else None for kind in kinds]
 
 
-def _plan_chapter(source: Path, plan: PlanFile, problem: DockingProblem | None) -> Chapter:
+def _plan_chapter(name: str, plan: PlanFile, problem: DockingProblem | None) -> Chapter:
     try:
-        return plan_chapter(source.name, plan, problem)
+        return plan_chapter(name, plan, problem)
     except InvalidFile as error:
-        raise InvalidFile(f"{source}: {error}") from error
+        raise InvalidFile(f"{name}: {error}") from error
 
 
-def _survey_chapter(folder: Path) -> Chapter:
+def _survey_chapter(name: str, folder: Path) -> Chapter:
     """Read a survey.
 
     Raises:
@@ -138,7 +140,7 @@ def _survey_chapter(folder: Path) -> Chapter:
         head = parse_json(read_text(folder / "survey.json", MostBytes.JSON))
     except ValueError as error:
         raise InvalidFile(f"{folder / 'survey.json'}: is not JSON: {error}") from error
-    return survey_chapter(folder.name, SurveyColumns.of(columns, str(cells)), head if isinstance(head, dict) else {})
+    return survey_chapter(name, SurveyColumns.of(columns, str(cells)), head if isinstance(head, dict) else {})
 
 
 def _kind_of(source: Path) -> str:

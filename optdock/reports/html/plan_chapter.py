@@ -188,7 +188,7 @@ def _motion(plan: PlanFile, path: Path, problem: DockingProblem | None) -> _Moti
     )
     panels = motion_panels(trajectory, limits, problem.dock.approach, times)
     panels += _steering(limits, path, trajectory.sample_at(times).s)
-    return _Motion("time", "s", at, poses, panels, times, trajectory.cusp_times)
+    return _Motion("time", "s", at, poses, panels, times + at[0], trajectory.cusp_times + at[0])
 
 
 def _sampled_panels(columns: TrajectoryColumns, limits: MotionLimits | None, rows: FloatArray) -> list[MotionPanel]:
@@ -233,6 +233,7 @@ def _motion_charts(motion: _Motion) -> Iterator[Chart]:
         text = f"{name} from {np.nanmin(panel.values):.3f} to {np.nanmax(panel.values):.3f} {unit}"
         limited = len(curves) > 1
         legend = [LegendEntry(name, "path"), *([LegendEntry("limit", "limit", "dashed")] if limited else [])]
+        legend += [LegendEntry("cusp", "muted", "dotted")] if motion.cusps.size else []
         most = np.nanmax(np.abs(panel.upper)) if np.isfinite(panel.upper).all() else math.inf
         text += f"; largest limit {most:.3f} {unit}" if math.isfinite(most) else ("" if limited else "; no limit")
         yield Chart(name.capitalize(), f"{text}.", figure, legend)
@@ -294,7 +295,7 @@ def clearance_chart(
     legend = [
         LegendEntry("clearance", "path"),
         LegendEntry("required", "limit", "dashed"),
-        LegendEntry("margin", "start", "dashed"),
+        LegendEntry("margin", "start", "dotted"),
         LegendEntry("tightest", "hot", "point"),
     ]
     readouts = [Readout("clearance", "m", clearances.tolist()), Readout("margin", "m", margins.tolist())]
