@@ -259,6 +259,7 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder for comparison.csv and a picture of each scenario.")] = Path(
         "comparison"
     ),
+    report: ReportOption = None,
     verbose: VerboseOption = False,
 ) -> None:
     """Compare raw and smoothed paths of scenarios: print a table, write a CSV and pictures.
@@ -272,6 +273,7 @@ def compare(
         from optdock.reports.comparison import comparison_csv, comparison_table
 
         format_of(out / "plan.png")
+        check_report(report)
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
         figures: list[PathFigures] = []
         statuses: list[ExitStatus] = []
@@ -283,6 +285,10 @@ def compare(
                 advance(scenario.source.stem)
         write_text(out / "comparison.csv", comparison_csv(figures))
         typer.echo(comparison_table(figures))
+        if report is not None:
+            from optdock.reports.html import comparison_chapter, save_report
+
+            save_report(report, "Comparison", [comparison_chapter("comparison.csv", comparison_csv(figures))])
         typer.echo(f"comparison.csv and pictures are in {out}")
     if ended := max(statuses):
         raise typer.Exit(ended)

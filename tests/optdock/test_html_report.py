@@ -456,11 +456,15 @@ def test_the_command_writes_a_page_and_checks_its_output(files, scenario, tmp_pa
     assert "would be overwritten" in same.output
 
 
-def test_plans_refusals_and_runs_write_reports(scenario, problem, tmp_path, monkeypatch):
+def test_plans_refusals_runs_and_comparisons_write_reports(scenario, problem, tmp_path, monkeypatch):
     """The chapters that the commands write, without drawing them."""
     written = []
     monkeypatch.setattr("optdock.reports.html.save_report", lambda target, title, chapters: written.append(chapters))
-    commands = [["plan", scenario, "--out", tmp_path / "p.json"], ["simulate", scenario, "--out", tmp_path / "r.json"]]
+    commands = [
+        ["plan", scenario, "--out", tmp_path / "p.json"],
+        ["simulate", scenario, "--out", tmp_path / "r.json"],
+        ["compare", scenario, "--out", tmp_path / "c"],
+    ]
     for command in commands:
         done = CliRunner().invoke(app, [*map(str, command), "--report", str(tmp_path / "x.html")])
         assert done.exit_code == 0, done.output
@@ -469,4 +473,5 @@ def test_plans_refusals_and_runs_write_reports(scenario, problem, tmp_path, monk
     assert CliRunner().invoke(app, [*map(str, commands[0]), "--report", str(tmp_path / "x.html")]).exit_code == 3
     outcomes = [[(chapter.kind, chapter.outcome) for chapter in chapters] for chapters in written]
     both = [("runs", "docked"), ("plans", "certified")]
-    assert outcomes == [[("plans", "certified")], both, [("plans", "StartOccupied")]]
+    compared = [("comparisons", "compared")]
+    assert outcomes == [[("plans", "certified")], both, compared, [("plans", "StartOccupied")]]
