@@ -131,7 +131,9 @@
   }
   const opened = () => {
     const chapter = document.getElementById(location.hash.slice(1));
-    if (chapter?.matches("details.chapter")) chapter.open = true;
+    if (!chapter?.matches("details.chapter")) return;
+    chapter.open = true;
+    chapter.scrollIntoView();
   };
   window.addEventListener("hashchange", opened);
   opened();
