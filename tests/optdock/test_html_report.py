@@ -366,17 +366,22 @@ def surveyed():
     return {**same, "x": x, "y": y, "yaw": yaw, "verdict": verdict, "seconds": seconds}
 
 
-def test_a_survey_counts_its_cells_and_shows_the_best_heading(surveyed):
-    chapter = survey_chapter(
-        "survey", SurveyColumns.of(surveyed, "t"), {"sentences": {"bay": "Fast."}, "ranking": ["bay"]}
-    )
-    assert chapter.summary == "1 docks, 12 cells; 70.0 % of the 10 free cells are certified"
+def test_a_survey_counts_its_cells_and_shows_the_best_heading(surveyed, problem):
+    told = {"robot": "amr", "dock": "bay", "pose": [3.0, 0.3, 0.0], "share": 0.7, "p95": None, "sentence": "Certified."}
+    told["reasons"] = [["StartOccupied: no", 4]]
+    head = {"docks": [told]}
+    chapter = survey_chapter("survey", SurveyColumns.of(surveyed, "t"), head, {"amr/bay": problem})
+    assert chapter.numbers["docks"] == [told]
+    assert chapter.summary == "1 dock, 12 cells; 70.0 % of the 10 free cells are certified"
     blocks = chapter.content().blocks
     tables = {block.title: block.rows for block in blocks if isinstance(block, Table)}
     assert tables["Verdicts"] == [("bay", "amr", "12", "7", "2", "1", "2", "13.64")]
     (chart,) = (block for block in blocks if isinstance(block, Chart))
+    assert tables["Ranking"] == [("amr", "bay", "3.000, 0.300, 0.000", "70.0", "", "", "", "")]
+    assert tables["Most frequent reasons of refusals"] == [("bay", "4", "StartOccupied: no")]
+    assert [entry.label for entry in chart.legend][-1] == "docked robot"
     assert chart.layers == ["best heading", "heading 0.0 degrees", "heading 180.0 degrees"]
-    images = [one.data_source.data["image"][0] for one in chart.figure.renderers]
+    images = [one.data_source.data["image"][0] for one in chart.figure.renderers[:3]]
     longest, blocked, unfound, occupied = 249, 251, 252, 253
     best = images[0].tolist()
     assert best[0][:2] == [occupied, unfound]
@@ -399,12 +404,12 @@ def test_a_large_survey_is_summarized_by_position(surveyed, monkeypatch):
     assert share[1].tolist() == [249, 249, 249]
 
 
-def test_surveys_are_read_from_their_folder(surveyed, tmp_path):
+def test_surveys_are_read_from_their_folder(surveyed, scenario, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     import pyarrow
 
     parquet.write_table(pyarrow.table(surveyed), tmp_path / "survey.parquet")
-    (tmp_path / "survey.json").write_text('{"format": "optdock-survey/1", "ranking": ["bay"]}')
+    (tmp_path / "survey.json").write_text('{"format": "optdock-survey/1", "scenarios": {"amr/bay": "scenario.yaml"}}')
     (chapter,) = read_chapters([tmp_path])
     assert chapter.numbers["verdicts"] == {"certified": 7, "impossible": 2, "not found": 1, "occupied": 2}
     (tmp_path / "survey.parquet").write_bytes(b"PAR1")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.config import load_scenario
 from optdock.errors import InvalidFile, InvalidValue, MissingExtra
 from optdock.executor.log import LOG_FORMAT, read_log
 from optdock.io.atomic_file import write_text
@@ -130,7 +131,7 @@ def _survey_chapter(name: str, folder: Path) -> Chapter:
     try:
         from pyarrow import ArrowException, parquet
     except ImportError as error:
-        raise MissingExtra("surveys need pyarrow: pip install pyarrow") from error
+        raise MissingExtra("surveys need pyarrow: pip install 'optdock[survey]'") from error
     try:
         table = parquet.read_table(cells)
     except (ArrowException, OSError) as error:
@@ -140,7 +141,11 @@ def _survey_chapter(name: str, folder: Path) -> Chapter:
         head = parse_json(read_text(folder / "survey.json", MostBytes.JSON))
     except ValueError as error:
         raise InvalidFile(f"{folder / 'survey.json'}: is not JSON: {error}") from error
-    return survey_chapter(name, SurveyColumns.of(columns, str(cells)), head if isinstance(head, dict) else {})
+    head = head if isinstance(head, dict) else {}
+    scenarios = head.get("scenarios")
+    named = scenarios if isinstance(scenarios, dict) else {}
+    problems = {key: load_scenario(folder / Path(str(file)).name).problem for key, file in named.items()}
+    return survey_chapter(name, SurveyColumns.of(columns, str(cells)), head, problems)
 
 
 def _kind_of(source: Path) -> str:

@@ -8,9 +8,10 @@ from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from shapely import Polygon, union_all
 
 from optdock.errors import InvalidFile
-from optdock.reports.html.figures import LegendEntry, layer_figure
+from optdock.reports.html.figures import LegendEntry, Outline, draw_area, draw_outlines, layer_figure
 from optdock.reports.html.page import Chapter, Chart, Content, Table, Text
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.problem import DockingProblem
     from optdock.reports.html.page import Block
 
 __all__ = ["SurveyColumns", "survey_chapter"]
@@ -80,47 +82,77 @@ class SurveyColumns(NamedTuple):
         return SurveyColumns(*(column[rows] for column in self))
 
 
-def survey_chapter(name: str, cells: SurveyColumns, head: Mapping[str, object]) -> Chapter:
+def survey_chapter(
+    name: str, cells: SurveyColumns, head: Mapping[str, object], problems: Mapping[str, DockingProblem] | None = None
+) -> Chapter:
     """Return the chapter of a survey.
 
     Args:
         name: Name of the survey.
         cells: Its cells.
-        head: Content of `survey.json`: `sentences` and `ranking`, each with an entry for each dock, may be missing.
+        head: Content of `survey.json`; its `docks` are the summaries of the docks, the best first, and may be missing.
+        problems: Problems by `robot/dock`, which are drawn on the maps; may be incomplete.
     """
     counts = Counter(cells.verdict.tolist())
     docks = [*dict.fromkeys(cells.dock.tolist())]
     free = len(cells.x) - counts[_OCCUPIED]
     share = 100.0 * counts[_CERTIFIED] / max(free, 1)
-    summary = f"{len(docks)} docks, {len(cells.x)} cells; {share:.1f} % of the {free} free cells are certified"
-    numbers = {"cells": len(cells.x), "verdicts": dict(sorted(counts.items())), "head": head}
-    content = functools.partial(_content, cells, head)
+    dock_count = f"{len(docks)} dock{'s' if len(docks) != 1 else ''}"
+    summary = f"{dock_count}, {len(cells.x)} cells; {share:.1f} % of the {free} free cells are certified"
+    told = head.get("docks")
+    rows = [row for row in told if isinstance(row, dict)] if isinstance(told, list) else []
+    numbers = {"cells": len(cells.x), "verdicts": dict(sorted(counts.items())), "docks": rows}
+    content = functools.partial(_content, cells, rows, problems or {})
     return Chapter(name, "surveys", "surveyed", "neutral", summary, content, numbers, (2.0, 0.0))
 
 
-def _content(cells: SurveyColumns, head: Mapping[str, object]) -> Content:
+def _content(
+    cells: SurveyColumns, rows: Sequence[Mapping[str, object]], problems: Mapping[str, DockingProblem]
+) -> Content:
     pairs = [*dict.fromkeys(zip(cells.dock.tolist(), cells.robot.tolist(), strict=True))]
-    blocks: list[Block] = [*_texts(head)]
+    blocks: list[Block] = []
+    if rows:
+        blocks.append(Text("Docks, the best first", [str(row.get("sentence", "")) for row in rows]))
+        blocks.append(Table("Ranking", ("robot", *_RANKED.values()), [_ranked_row(row) for row in rows]))
+        reasons = [(str(row.get("dock", "")), *map(str, one[::-1])) for row in rows for one in _reasons(row)]
+        blocks += [Table("Most frequent reasons of refusals", ("dock", "cells", "reason"), reasons)] if reasons else []
     blocks.append(
         Table("Verdicts", ("dock", "robot", "cells", *_COUNTED, "median time [s]"), [*_count_rows(cells, pairs)])
     )
     answers = Counter(zip(cells.verdict.tolist(), cells.answer.tolist(), strict=True))
-    rows = [(verdict, answer or "–", str(count)) for (verdict, answer), count in sorted(answers.items())]
-    blocks.append(Table("How the verdicts were found", ("verdict", "answer", "cells"), rows))
+    found = [(verdict, answer or "–", str(count)) for (verdict, answer), count in sorted(answers.items())]
+    blocks.append(Table("How the verdicts were found", ("verdict", "answer", "cells"), found))
     is_small = len(cells.x) <= _MOST_CELLS
-    blocks += [_map(cells.of_pair(*pair), " / ".join(filter(None, pair)), by_heading=is_small) for pair in pairs]
+    for dock, robot in pairs:
+        mine, key = cells.of_pair(dock, robot), f"{robot}/{dock}"
+        blocks.append(_map(mine, key.strip("/"), problems.get(key), by_heading=is_small))
     return Content(blocks)
 
 
 _COUNTED = (_CERTIFIED, _IMPOSSIBLE, _NOT_FOUND, _OCCUPIED)
+_RANKED = {
+    "dock": "dock", "pose": "pose [m, m, rad]", "share": "certified cells [%]", "floor": "certified positions [%]",
+    "p50": "median time [s]", "p95": "time of 95 % [s]", "margin": "margin of 95 % [m]",
+}  # fmt: skip
 
 
-def _texts(head: Mapping[str, object]) -> Iterator[Text]:
-    for key, title in (("sentences", "Docks"), ("ranking", "Ranking, the best first")):
-        found = head.get(key)
-        entries = [f"{one}: {words}" for one, words in found.items()] if isinstance(found, dict) else found
-        if isinstance(entries, list) and entries:
-            yield Text(title, [str(entry) for entry in entries])
+def _reasons(row: Mapping[str, object]) -> list[list[object]]:
+    """Return reasons of refusals with their numbers of cells."""
+    found = row.get("reasons")
+    return [one for one in found if isinstance(one, list)] if isinstance(found, list) else []
+
+
+def _ranked_row(row: Mapping[str, object]) -> tuple[str, ...]:
+    cells = [str(row.get("robot", ""))]
+    for name in _RANKED:
+        value = row.get(name)
+        if isinstance(value, list):
+            cells.append(", ".join(f"{one:.3f}" for one in value if isinstance(one, int | float)))
+        elif isinstance(value, int | float):
+            cells.append(f"{100.0 * value:.1f}" if name in ("share", "floor") else f"{value:.3f}")
+        else:
+            cells.append("" if value is None else str(value))
+    return tuple(cells)
 
 
 def _count_rows(cells: SurveyColumns, pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[str, ...]]:
@@ -152,7 +184,7 @@ def _grid(cells: SurveyColumns) -> _Grid:
     return _Grid(x, y, yaw, verdict, seconds)
 
 
-def _map(cells: SurveyColumns, name: str, *, by_heading: bool) -> Chart:
+def _map(cells: SurveyColumns, name: str, problem: DockingProblem | None, *, by_heading: bool) -> Chart:
     """Return the map of a dock: least duration over all headings, and every heading or their certified share."""
     grid = _grid(cells)
     known = np.where(grid.verdict == _CERTIFIED, grid.seconds, np.nan)
@@ -169,13 +201,25 @@ def _map(cells: SurveyColumns, name: str, *, by_heading: bool) -> Chart:
         labels.append("share of certified headings, 0 to 100 % on the whole scale")
     figure = layer_figure(grid.x, grid.y, [_codes(*layer, longest) for layer in layers], longest)
     legend = [LegendEntry(word, colour, "area") for word, colour in _COLOURS.items()]
+    if problem is not None:
+        station = [Polygon(corners) for corners in _station(problem)]
+        draw_area(figure, union_all(station), Outline("dock", "dock"))
+        draw_outlines(figure, problem.robot.footprint, problem.goal.as_array()[None], Outline("", "goal"))
+        legend += [LegendEntry("docked robot", "goal"), *([LegendEntry("dock", "dock", "area")] if station else [])]
     certified = int((best_words == _CERTIFIED).sum())
     text = (
-        f"Time to {name} from {best.size} positions; at {certified} of them at least one heading is certified, with a "
-        f"least time of {np.nanmin(known) if certified else math.nan:.1f} s and a longest time of {longest:.1f} s."
+        f"Time to {name} from {int((best_words != '').sum())} positions; at {certified} of them at least one heading is "
+        f"certified, with a least time of {np.nanmin(known) if certified else math.nan:.1f} s and a longest time of "
+        f"{longest:.1f} s."
     )
     width, height = (float(np.ptp(axis)) + _step(axis) for axis in (grid.x, grid.y))
     return Chart(f"Map of {name}", text, figure, legend, min(max(width / height, 0.5), 3.0), labels)
+
+
+def _station(problem: DockingProblem) -> Iterator[FloatArray]:
+    """Generate the convex pieces of the station, Shape (n, 2) each."""
+    obstacles = problem.all_obstacles
+    return (obstacles.vertices[row] for row in range(len(obstacles)) if obstacles.name_of(row) == "dock")
 
 
 _COLOURS = {_IMPOSSIBLE: "impossible", _NOT_FOUND: "hot", _OCCUPIED: "occupied"}
