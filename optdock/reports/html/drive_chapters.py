@@ -47,7 +47,7 @@ _MOST_EVENTS = 400
 
 
 class _Series(NamedTuple):
-    """One chart over time: title, unit and curves; the first curve is described in words."""
+    """One chart over time: title, unit and curves."""
 
     title: str
     unit: str
@@ -111,10 +111,10 @@ def _run_content(run: RunColumns, problem: DockingProblem | None, plan: PlanFile
     blocks: list[Block] = [_run_scene(run, problem)]
     deviations, relief = None, start_relief(plan)
     if problem is not None and plan is not None and plan.path is not None:
-        deviations = Tube(plan.path, problem, relief).deviations(poses)
+        deviations = Tube(plan.path, problem, relief).deviations(run.poses)
         moved = [
-            Curve("displacement", at, 1e3 * deviations.displacement),
-            Curve("width of the tube", at, 1e3 * deviations.width, "limit", "dashed", 1.5),
+            Curve("displacement", at, 1e3 * deviations.displacement[rows]),
+            Curve("width of the tube", at, 1e3 * deviations.width[rows], "limit", "dashed", 1.5),
         ]
         series.insert(0, _Series("deviation from the path", "mm", moved))
     if problem is not None and len(problem.all_obstacles):
@@ -152,7 +152,7 @@ def _run_rows(run: RunColumns, errors: FloatArray, deviations: Deviations | None
         most, width = float(deviations.displacement.max()), float(deviations.width.max())
         yield "largest displacement from the path", f"{1e3 * most:.2f} mm"
         left = int((deviations.excess > 0.0).sum())
-        kept = "kept" if left == 0 else f"left at {left} of {deviations.excess.size} drawn poses"
+        kept = "kept" if left == 0 else f"left at {left} of {deviations.excess.size} poses"
         yield "tracking tube", f"{kept}, {1e3 * width:.1f} mm wide" if width > 0.0 else "not certified"
 
 

@@ -44,7 +44,6 @@ REPORT_FORMAT = "optdock-report/1"  # of the figures that the page carries as JS
 _MOST_CONTENT, _MOST_NUMBERS = 2_000_000, 800_000
 _MODEL_ID = re.compile(r'"(?P<key>id|root_id)": ?"(?P<id>[^"]+)"')
 
-
 T = TypeVar("T")
 
 

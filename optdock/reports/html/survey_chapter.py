@@ -208,7 +208,7 @@ def _map(cells: SurveyColumns, name: str, problem: DockingProblem | None, *, by_
         legend += [LegendEntry("docked robot", "goal"), *([LegendEntry("dock", "dock", "area")] if station else [])]
     certified = int((best_words == _CERTIFIED).sum())
     text = (
-        f"Time to {name} from {int((best_words != '').sum())} positions; at {certified} of them at least one heading is "
+        f"Time to {name} from {int((best_words != '').sum())} positions; at {certified} of them a heading is "
         f"certified, with a least time of {np.nanmin(known) if certified else math.nan:.1f} s and a longest time of "
         f"{longest:.1f} s."
     )
