@@ -52,12 +52,12 @@ PlotOption: TypeAlias = Annotated[
         show_default=False,
     ),
 ]
+VerboseOption: TypeAlias = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Log to stderr; may be given before or after the command.")
+]
 ReportOption: TypeAlias = Annotated[
     Path | None,
     typer.Option(metavar="FILE.html", help="Write an HTML report, see optdock report.", show_default=False),
-]
-VerboseOption: TypeAlias = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Log to stderr; may be given before or after the command.")
 ]
 
 
