@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import optdock as od
 from optdock.cli import app
 from optdock.config.writing import problem_document
-from optdock.errors import InvalidFile, InvalidValue, MissingExtra, OptdockError
+from optdock.errors import InvalidFile, InvalidValue, MissingExtra, NoMotionExists, OptdockError
 from optdock.executor import DockingExecutor
 from optdock.executor.log import LogWriter
 from optdock.geometry.pose import Pose2
@@ -24,12 +24,14 @@ from optdock.io.plan_file import PlanError, PlanFile, load_plan, save_plan
 from optdock.reports.comparison import PathFigures, comparison_csv
 from optdock.reports.html import check_bokeh, read_chapters, save_report
 from optdock.reports.html import page as page_module
+from optdock.reports.html.certificate_words import plan_texts
 from optdock.reports.html.comparison_chapter import comparison_chapter
 from optdock.reports.html.figures import PALETTE, swept_area
 from optdock.reports.html.html_report import _counts
 from optdock.reports.html.page import Chapter, Chart, Content, Player, Readout, Table
 from optdock.reports.html.plan_chapter import clearance_chart, plan_chapter
 from optdock.reports.html.survey_chapter import SurveyColumns, survey_chapter
+from optdock.reports.plan_file_verdict import judge_plan_file
 from optdock.reports.report import failed_plan_file, run_json
 from optdock.simulation import Run
 
@@ -223,6 +225,27 @@ def test_claims_are_not_called_proven_without_a_check(files, problem):
     assert "Proven, as the file states; refuted by the check" in [block.title for block in refuted.content().blocks]
     assert (refuted.outcome, refuted.grade) == ("refuted", "bad")
     assert refuted.rank < plan_chapter("plan.json", plan, problem).rank
+
+
+def test_samples_prove_the_path_but_not_the_motion(files, problem):
+    sampled = dataclasses.replace(load_plan(files[0] / "plan.json"), time_law=None)
+    verdict = judge_plan_file(sampled, problem)
+    assert plan_chapter("p", sampled, problem).outcome == "path certified, motion not proven"
+    proven = next(text for text in plan_texts(sampled, problem, verdict) if text.title == "Proven")
+    assert proven.sentences[-1] == "The motion between samples is not proven."
+    assert not any("keeps its limits" in sentence for sentence in proven.sentences)
+
+
+def test_a_blocked_straight_is_drawn_and_explained(problem):
+    pallet = od.ObstacleSet.from_polygons([[(2.2, 0.2), (2.4, 0.2), (2.4, 0.4), (2.2, 0.4)]])  # behind the docked robot
+    dock = od.Dock(od.Pose2(3.0, 0.3, 0.0), direction="forward", final_straight=0.3)
+    blocked = dataclasses.replace(problem, obstacles=pallet, dock=dock)
+    with pytest.raises(NoMotionExists) as refused:
+        od.plan_dock(blocked)
+    scene, *others = plan_chapter("p", failed_plan_file(refused.value, "map"), blocked).content().blocks
+    assert [entry.label for entry in scene.legend] == ["obstacle", "blocked", "start", "goal"]
+    assert others[0].title == "Proof that no motion exists"
+    assert "final straight" in others[0].sentences[1]
 
 
 def test_names_are_shown_as_text(files, problem, tmp_path):

@@ -26,6 +26,7 @@ _NOT_PROVEN = (
     "Execution: whether the drive follows the trajectory. The proof holds only for poses within the tracking tube.",
     "Functional safety: a certificate does not replace a safety function of the robot.",
 )
+_OF_SCENE = 2  # of these sentences, which also apply to refusals
 _UNITS = {
     "length": "m", "min_clearance": "m", "required_clearance": "m", "at_s": "m", "margin": "m", "tube": "m",
     "start_relief": "m", "view_margin": "m", "max_curvature": "1/m", "max_curvature_rate": "1/m^2",
@@ -58,7 +59,7 @@ def plan_texts(plan: PlanFile, problem: DockingProblem | None, verdict: PlanFile
             _motion_words(plan.certificate) if not is_sampled else ["The motion between samples is not proven."]
         )
         yield Text(_heading("Proven", verdict, "unproven" if is_sampled else "certified"), sentences)
-    yield Text("Not proven", _NOT_PROVEN)
+    yield Text("Not proven", _NOT_PROVEN if plan.certificate is not None else _NOT_PROVEN[:_OF_SCENE])
 
 
 def _heading(words: str, verdict: PlanFileVerdict | None, wanted: str) -> str:

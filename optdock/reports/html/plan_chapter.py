@@ -388,6 +388,8 @@ def _draw_places(
     marks = []
     proof = plan.impossibility
     found = "refused here" if proof is None or proof.bottleneck is None else "bottleneck"
+    if isinstance(proof, BlockedStraight):
+        return  # its poses are drawn already
     if place is not None:
         marks.append((found, place.as_array()[None], "dashed"))
     elif plan.path is not None:
