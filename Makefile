@@ -18,12 +18,13 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 
-.PHONY: help demo test check unit test-experiments docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
+.PHONY: help demo test check unit test-experiments docs report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make docs         the documentation and its tests: every snippet runs, warnings are errors; open site/index.html"
 	@echo "make test-experiments  the tests of benchmarks, studies and the fuzzer"
+	@echo "make report-check  a report opened in Chromium, pictures in results/report/; needs Chromium, ARGS='FILE.html' checks that file"
 	@echo "make figures      the measured tables of the documentation against what their commands print now: hours;"
 	@echo "                  ARGS='contact' those of commands with that word in them, ARGS='contact --write' puts new figures in"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
@@ -78,6 +79,10 @@ docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
+
+report-check: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
+	$(BIN)/python docs/tools/browser_check.py $(ARGS)
 
 figures: $(STAMP)
 	$(BIN)/python docs/tools/measured.py $(ARGS)

@@ -1,4 +1,4 @@
-"""The command line: `optdock plan | simulate | certify | compare | demo | replay | calibrate | bag | import | ...`.
+"""The command line: `optdock plan | simulate | certify | compare | demo | report | replay | calibrate | bag | ...`.
 
 Commands import the library when they run, so that `--help` is fast.
 """
@@ -20,6 +20,7 @@ from optdock.cli.exit_status import EXIT_STATUSES
 from optdock.cli.importing import app as importing
 from optdock.cli.plan import compare, plan
 from optdock.cli.replay import replay
+from optdock.cli.report import report
 from optdock.cli.simulate import demo, simulate
 from optdock.cli.survey import survey
 
@@ -100,6 +101,6 @@ def schema(
             write_text(out, text + "\n")
 
 
-for _command in (plan, simulate, certify, survey, compare, demo, replay, calibrate, bag, plugins, schema):
+for _command in (plan, simulate, certify, survey, compare, report, demo, replay, calibrate, bag, plugins, schema):
     app.command()(_command)
 app.add_typer(importing, name="import")

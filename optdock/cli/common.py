@@ -23,10 +23,12 @@ __all__ = [
     "BudgetOption",
     "JobsOption",
     "PlotOption",
+    "ReportOption",
     "ScenarioArgument",
     "SchedulerOption",
     "VerboseOption",
     "check_picture",
+    "check_report",
     "checked_positive",
     "listen",
     "one_line",
@@ -67,6 +69,10 @@ SchedulerOption: TypeAlias = Annotated[
 ]
 VerboseOption: TypeAlias = Annotated[
     bool, typer.Option("--verbose", "-v", help="Log to stderr; may be given before or after the command.")
+]
+ReportOption: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.html", help="Write an HTML report, see optdock report.", show_default=False),
 ]
 
 
@@ -141,6 +147,18 @@ def check_picture(option: str, picture: Path | None) -> None:
             format_of(picture)
         except InvalidValue as error:
             raise InvalidValue(f"{option}: {error}") from error
+
+
+def check_report(report: Path | None) -> None:
+    """Check that a report can be made before the computation.
+
+    Raises:
+        MissingExtra: If Bokeh is not installed.
+    """
+    if report is not None:
+        from optdock.reports.html import check_bokeh
+
+        check_bokeh()
 
 
 def spare(source: Path | None, *targets: Path | None) -> None:

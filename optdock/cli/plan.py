@@ -15,9 +15,11 @@ from optdock.cli.common import (
     BudgetOption,
     JobsOption,
     PlotOption,
+    ReportOption,
     SchedulerOption,
     VerboseOption,
     check_picture,
+    check_report,
     checked_positive,
     one_line,
     reported,
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.config import Scenario
+    from optdock.io.plan_file import PlanFile
     from optdock.planning.plan import DockPlan, PartialPlan
     from optdock.reports.comparison import PathFigures
 
@@ -48,12 +51,14 @@ class PlanOutputs(NamedTuple):
         picture: Picture of the plan.
         spacing: Largest distance between path samples [m].
         period: Largest time between trajectory samples [s].
+        report: HTML report.
     """
 
     file: Path | None = None
     picture: Path | None = None
     spacing: float = 0.02
     period: float = 0.02
+    report: Path | None = None
 
 
 _USUAL = PlanOutputs()
@@ -79,6 +84,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
         typer.Option(help="Write the trajectory as CSV, sampled with --period.", show_default=False),
     ] = None,
     plot: PlotOption = None,
+    report: ReportOption = None,
     profile: Annotated[
         Path | None,
         typer.Option(
@@ -116,11 +122,12 @@ def plan(  # noqa: PLR0913 - one parameter per option
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         check_picture("--profile", profile)
+        check_report(report)
         nav2 = _Nav2Sources(nav2_params, map_, docks, dock, start)
-        outputs = PlanOutputs(out, plot, spacing, period)
+        outputs = PlanOutputs(out, plot, spacing, period, report)
         if scenarios is None or len(scenarios) == 1:
             scenario = scenarios[0] if scenarios else None
-            spare(scenario, out, csv, plot, profile)
+            spare(scenario, out, csv, plot, profile, report)
             _plan_and_report(_loaded(scenario, nav2), time_budget, outputs, profile, csv)
             return
         _check_several(outputs, profile, csv, *nav2)
@@ -163,7 +170,9 @@ def _plan_and_report(
         draw_profile(profile, scenario, found)
     if csv is not None:
         found.save_csv(csv, period=outputs.period)
-    written = ", ".join(str(path) for path in (outputs.file, csv, outputs.picture, profile) if path is not None)
+    written = ", ".join(
+        str(path) for path in (outputs.file, csv, outputs.picture, profile, outputs.report) if path is not None
+    )
     rows = [
         *plan_rows(found),
         *limit_rows(scenario.problem.robot.limits, scenario.default_limits),
@@ -189,14 +198,15 @@ def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOu
         return scenario.plan(time_budget)
     except OptdockError as error:
         if status_of(error) is not ExitStatus.BAD_INPUT:
-            written_failure(error, scenario.problem.frame, outputs)
+            failed = written_failure(error, scenario.problem.frame, outputs)
             with _secondary():
+                _write_report(outputs.report, scenario, failed)
                 _draw(outputs.picture, scenario, PartialPlan.left_by(error), one_line(error), error)
         raise
 
 
-def written_failure(error: OptdockError, frame: str, outputs: PlanOutputs) -> None:
-    """Write the plan file of a failure.
+def written_failure(error: OptdockError, frame: str, outputs: PlanOutputs) -> PlanFile:
+    """Write the plan file of a failure, and return its content.
 
     Raises:
         InvalidFile: If the file cannot be written.
@@ -204,8 +214,10 @@ def written_failure(error: OptdockError, frame: str, outputs: PlanOutputs) -> No
     from optdock.io.plan_file import save_plan
     from optdock.reports.report import failed_plan_file
 
+    failed = failed_plan_file(error, frame)
     if outputs.file is not None:
-        save_plan(outputs.file, failed_plan_file(error, frame), spacing=outputs.spacing)
+        save_plan(outputs.file, failed, spacing=outputs.spacing)
+    return failed
 
 
 def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
@@ -218,6 +230,16 @@ def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
     if outputs.file is not None:
         found.save(outputs.file, spacing=outputs.spacing, period=outputs.period)
     _draw(outputs.picture, scenario, found, f"certified, {found.trajectory.duration:.1f} s")
+    _write_report(outputs.report, scenario, found.as_file(outputs.period))
+
+
+def _write_report(target: Path | None, scenario: Scenario, plan: PlanFile) -> None:
+    """Write the report of a plan or a refusal."""
+    if target is not None:
+        from optdock.reports.html import plan_chapter, save_report
+
+        name = scenario.source.stem
+        save_report(target, name, [plan_chapter(name, plan, scenario.problem)])
 
 
 @contextmanager
@@ -263,8 +285,8 @@ def draw_profile(target: Path, scenario: Scenario, found: DockPlan) -> None:
 
 def _check_several(outputs: PlanOutputs, *others: object) -> None:
     """Raise InvalidValue if options do not suit several scenarios."""
-    if any(option is not None for option in (outputs.picture, *others)):
-        raise InvalidValue("--plot, --profile, --csv and the options of Nav2 need a single scenario")
+    if any(option is not None for option in (outputs.picture, outputs.report, *others)):
+        raise InvalidValue("--plot, --profile, --csv, --report and the options of Nav2 need a single scenario")
     if outputs.file is None or outputs.file.suffix == ".json":
         raise InvalidValue(f"--out: several scenarios need a folder for their plan files, got {outputs.file}")
 
@@ -324,6 +346,7 @@ def compare(
     out: Annotated[Path, typer.Option(help="Folder for comparison.csv and a picture of each scenario.")] = Path(
         "comparison"
     ),
+    report: ReportOption = None,
     verbose: VerboseOption = False,
 ) -> None:
     """Compare raw and smoothed paths of scenarios: print a table, write a CSV and pictures.
@@ -337,6 +360,7 @@ def compare(
         from optdock.reports.comparison import comparison_csv, comparison_table
 
         format_of(out / "plan.png")
+        check_report(report)
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
         figures: list[PathFigures] = []
         statuses: list[ExitStatus] = []
@@ -348,6 +372,10 @@ def compare(
                 advance(scenario.source.stem)
         write_text(out / "comparison.csv", comparison_csv(figures))
         typer.echo(comparison_table(figures))
+        if report is not None:
+            from optdock.reports.html import comparison_chapter, save_report
+
+            save_report(report, "Comparison", [comparison_chapter("comparison.csv", comparison_csv(figures))])
         typer.echo(f"comparison.csv and pictures are in {out}")
     if ended := max(statuses):
         raise typer.Exit(ended)

@@ -16,9 +16,11 @@ from optdock.cli.common import (
     SECONDS,
     BudgetOption,
     PlotOption,
+    ReportOption,
     ScenarioArgument,
     VerboseOption,
     check_picture,
+    check_report,
     checked_positive,
     reported,
     spare,
@@ -71,6 +73,7 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     lag: Annotated[float, typer.Option(metavar=SECONDS, help="Time constant of the drive.")] = _USUAL.lag,
     latency: Annotated[float, typer.Option(metavar=SECONDS, help="Delay of the commands.")] = _USUAL.latency,
     plot: PlotOption = None,
+    report: ReportOption = None,
     gif: Annotated[
         Path | None, typer.Option(metavar="FILE.gif", help="Write an animation of the drive.", show_default=False)
     ] = None,
@@ -82,19 +85,22 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
-        from optdock.reports.report import run_rows, table
+        from optdock.reports.report import run_json, run_rows, table
         from optdock.simulation import beyond_proof
 
         world = _checked(WorldDeviations(position_noise, yaw_noise, lag, latency))
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
+        check_report(report)
         _check_animation(gif)
-        spare(scenario, out, plot, gif)
+        spare(scenario, out, plot, gif, report)
         loaded = load_scenario(scenario)
-        plan = solved(loaded, time_budget, PlanOutputs(picture=plot))
+        plan = solved(loaded, time_budget, PlanOutputs(picture=plot, report=report))
         run = driven(loaded, plan, seed, world)
         _write(loaded, run, seed, out, (plot, gif))
-        files = ", ".join(str(one) for one in (out, plot, gif) if one)
+        if report is not None:
+            _write_report(report, loaded, plan, run_json(run, seed))
+        files = ", ".join(str(one) for one in (out, plot, gif, report) if one)
         left = beyond_proof(plan.path, plan.problem, plan.certificate, run.poses)
         typer.echo(table([*run_rows(run, _deviations(plan, run), left), ("written", files)]))
         _refuse_fault(run, left)
@@ -175,6 +181,16 @@ def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[P
         from optdock.plotting import save_animation
 
         save_animation(animation, scenario.problem, run.times, run.poses)
+
+
+def _write_report(target: Path, scenario: Scenario, plan: DockPlan, run: str) -> None:
+    """Write the report of a plan and of the text of its run file."""
+    from optdock.io.run_file import parse_run
+    from optdock.reports.html import plan_chapter, run_chapter, save_report
+
+    file, problem = plan.as_file(), scenario.problem
+    chapters = [run_chapter("run", parse_run(run, "run"), problem, file), plan_chapter("plan", file, problem)]
+    save_report(target, scenario.source.stem, chapters)
 
 
 def _refuse_fault(run: Run, left: str) -> None:

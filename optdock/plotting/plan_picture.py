@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import (
-    GoalOccupied,
-    GoalOutsideMapBounds,
-    NoMotionExists,
-    StartOccupied,
-    StartOutsideMapBounds,
-)
+from optdock.errors import NoMotionExists
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import BlockedStraight, NoMotionProof
@@ -35,7 +29,7 @@ from optdock.plotting.scene import (
 from optdock.verification import TOLERANCE, pose_clearances
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path as FilePath
 
     from matplotlib.axes import Axes
@@ -47,7 +41,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
 
-__all__ = ["PlanDrawing", "plan_picture_png", "save_plan_picture", "show_plan_picture"]
+__all__ = ["PlanDrawing", "plan_picture_png", "refused_pose", "save_plan_picture", "show_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # widths of the two paths [pt]
@@ -128,7 +122,8 @@ def plan_picture_png(drawing: PlanDrawing) -> bytes:
 def _draw(drawing: PlanDrawing, make_figure: Callable[[float, float], Figure]) -> Figure:
     problem, raw_path, path, certificate, refusal, title = drawing
     drawn = [each for each in (raw_path, path) if each is not None]
-    pose = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None)
+    last = drawn[-1] if drawn else None
+    pose = None if refusal is None else refused_pose(problem, type(refusal).__name__, refusal.where, last)
     place = None if pose is None else pose.as_array()[None]
     shown = [each.sample(_SPACING).poses for each in drawn]
     view = view_of(problem, shown if place is None else [*shown, place])
@@ -232,15 +227,21 @@ def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProo
         _mark(axes, problem, np.array([[found.x, found.y, found.yaw]]), label)
 
 
-def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2 | None:
-    """Return the pose of a refusal: given directly, at an arc length, or start or goal; None without a position."""
-    where = refusal.where
+def refused_pose(problem: DockingProblem, refusal: str, where: Mapping[str, object], path: Path | None) -> Pose2 | None:
+    """Return the pose of a refusal: given directly, at an arc length, or start or goal; None without a position.
+
+    Args:
+        problem: The docking problem.
+        refusal: Name of the error.
+        where: Details of the error.
+        path: Path to which an arc length in the details refers.
+    """
     pose = where.get("pose")
     if isinstance(pose, Sequence) and len(pose) == 3:
         return Pose2.from_sequence(pose)
-    if isinstance(refusal, StartOccupied | StartOutsideMapBounds):
+    if refusal in ("StartOccupied", "StartOutsideMapBounds"):
         return problem.start
-    if isinstance(refusal, GoalOccupied | GoalOutsideMapBounds):
+    if refusal in ("GoalOccupied", "GoalOutsideMapBounds"):
         return problem.goal
     x, y, s = (where.get(name) for name in ("x", "y", "s"))
     if isinstance(x, float) and isinstance(y, float):

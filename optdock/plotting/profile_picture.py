@@ -21,18 +21,35 @@ if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits, SpeedZone
     from optdock.model.trajectory import Trajectory
 
-__all__ = ["save_profile_picture"]
+__all__ = ["MotionPanel", "motion_panels", "save_profile_picture"]
 
 _POINTS = 1500
 
 
-class _Panel(NamedTuple):
-    """One plotted quantity: axis label, values over time and bounds (inf: unlimited)."""
+class MotionPanel(NamedTuple):
+    """One limited quantity of a motion.
+
+    Attributes:
+        label: Name of the quantity with its unit.
+        values: Values at n times, Shape (n,); nan where the quantity is not defined.
+        lower: Lower bounds, Shape (n,); -inf where the quantity is unlimited.
+        upper: Upper bounds, Shape (n,); inf where the quantity is unlimited.
+    """
 
     label: str
     values: FloatArray
     lower: FloatArray
     upper: FloatArray
+
+    @property
+    def axis_range(self) -> tuple[float, float]:
+        """Range of the axis: the values, and the bounds unless the curve would appear flat next to them."""
+        reach = 1.15 * max(float(np.nanmax(np.abs(self.values))), 1e-6)
+        for bound in (self.lower, self.upper):
+            reach = max(reach, _range_of(bound, reach))
+        goes_below = bool(np.nanmin(self.values) < -1e-9 or np.min(self.lower) < 0.0)
+        goes_above = bool(np.nanmax(self.values) > 1e-9 or np.max(self.upper) > 0.0)
+        return -reach if goes_below else -0.05 * reach, reach if goes_above else 0.05 * reach
 
 
 def save_profile_picture(
@@ -56,7 +73,7 @@ def save_profile_picture(
         InvalidFile: If the file cannot be written.
     """
     times = np.linspace(0.0, trajectory.duration, _POINTS, dtype=np.float64)
-    panels = _panels(trajectory, limits, zone, times)
+    panels = motion_panels(trajectory, limits, zone, times)
     rows = -(-len(panels) // 2)
     figure = new_figure(10.0, 2.5 * rows)
     grid = figure.subplots(rows, 2, sharex=True)
@@ -72,7 +89,17 @@ def save_profile_picture(
     save_figure(figure, target)
 
 
-def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times: FloatArray) -> list[_Panel]:
+def motion_panels(
+    trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times: FloatArray
+) -> list[MotionPanel]:
+    """Return the quantities of a motion with their limits; see `save_profile_picture`.
+
+    Args:
+        trajectory: The motion.
+        limits: Motion limits.
+        zone: Speed zone at the end of the path.
+        times: Times in the duration of the motion, Shape (n,) [s].
+    """
     samples = trajectory.sample_at(times)
     curvature, gear = trajectory.path.curvature_at(samples.s), trajectory.path.direction_at(samples.s)
     forward, turning = gear > 0, gear == 0
@@ -93,8 +120,8 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
     rate = np.where(turning, 0.0, trajectory.path.curvature_rate_at(samples.s))
     along = _TurnProfile(gear * samples.speed, gear * samples.acceleration, curvature, rate)
     return [
-        _Panel(_label("max_speed"), samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),
-        _Panel(_label("max_acceleration"), samples.acceleration, *accelerations),
+        MotionPanel(_label("max_speed"), samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),
+        MotionPanel(_label("max_acceleration"), samples.acceleration, *accelerations),
         *(_symmetric(name, values, getattr(limits, name)) for name, values in symmetric.items()),
         *_more_panels(limits, symmetric, along, turning),
     ]
@@ -111,16 +138,16 @@ class _TurnProfile(NamedTuple):
 
 def _more_panels(
     limits: MotionLimits, drawn: Collection[str], motion: _TurnProfile, turning: BoolArray
-) -> Iterator[_Panel]:
+) -> Iterator[MotionPanel]:
     """Generate the panels of the other finite limits that depend on curvature."""
     for name, bound in finite_limits(limits).items():
         if name not in drawn and name in LIMITS and (size := LIMITS[name].size):
             values = np.where(turning, np.nan, size(motion, limits))
-            yield _Panel(_label(name), values, np.zeros(values.size), np.full(values.size, bound))
+            yield MotionPanel(_label(name), values, np.zeros(values.size), np.full(values.size, bound))
 
 
-def _symmetric(name: str, values: FloatArray, bound: float) -> _Panel:
-    return _Panel(_label(name), values, np.full(values.size, -bound), np.full(values.size, bound))
+def _symmetric(name: str, values: FloatArray, bound: float) -> MotionPanel:
+    return MotionPanel(_label(name), values, np.full(values.size, -bound), np.full(values.size, bound))
 
 
 def _label(name: str) -> str:
@@ -138,20 +165,16 @@ def _speed_bound(limits: MotionLimits, curvature: FloatArray, forward: BoolArray
     return lowest
 
 
-def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray) -> None:
+def _draw_panel(axes: Axes, times: FloatArray, panel: MotionPanel, cusps: FloatArray) -> None:
     axes.plot(times, panel.values, color=COLOURS["path"], linewidth=1.5, label="trajectory", zorder=3)
-    reach = 1.15 * max(float(np.nanmax(np.abs(panel.values))), 1e-6)
     for bound in (panel.lower, panel.upper):
         shown = np.where(np.isfinite(bound), bound, math.nan)
         axes.plot(
             times, shown, "--", color=COLOURS["goal"], linewidth=1.1, label="limit" if bound is panel.upper else None
         )
-        reach = max(reach, _range_of(bound, reach))
     for i, time in enumerate(cusps):
         axes.axvline(time, color="black", linewidth=0.8, linestyle=":", label="cusp" if i == 0 else None)
-    goes_below = bool(np.nanmin(panel.values) < -1e-9 or np.min(panel.lower) < 0.0)
-    goes_above = bool(np.nanmax(panel.values) > 1e-9 or np.max(panel.upper) > 0.0)
-    axes.set_ylim(-reach if goes_below else -0.05 * reach, reach if goes_above else 0.05 * reach)
+    axes.set_ylim(*panel.axis_range)
     axes.set_ylabel(panel.label)
     axes.axhline(0.0, color="#888888", linewidth=0.6, zorder=1)
     axes.grid(visible=True, color="#e5e5e5", linewidth=0.5)

@@ -33,8 +33,8 @@ from optdock.model.trajectory import Trajectory
 from optdock.plotting import plan_picture, save_animation, save_plan_picture, save_profile_picture, save_run_picture
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.marker_picture import draw_marker_array
-from optdock.plotting.plan_picture import _draw_closest, _place
-from optdock.plotting.profile_picture import _panels
+from optdock.plotting.plan_picture import _draw_closest, refused_pose
+from optdock.plotting.profile_picture import motion_panels
 from optdock.plotting.scene import _cone, draw_scene, view_of
 from optdock.ros import path_markers
 from optdock.ros.bag import bag_types
@@ -112,7 +112,7 @@ REFUSALS = {
 def test_a_refusal_is_marked_where_it_says(tmp_path, problem, path, speaks_of):
     refusal, place = REFUSALS[speaks_of]
     end = getattr(problem, place) if isinstance(place, str) else None
-    found = _place(problem, refusal, path)
+    found = refused_pose(problem, type(refusal).__name__, refusal.where, path)
     expected = (end.x, end.y) if end is not None else place
     assert (found.x, found.y) == pytest.approx(expected, abs=2e-3)
     if speaks_of == "the start":
@@ -122,7 +122,7 @@ def test_a_refusal_is_marked_where_it_says(tmp_path, problem, path, speaks_of):
 
 @pytest.mark.parametrize("where", [{}, {"iterations": 7}, {"obstacle": "obstacles[0]"}])
 def test_a_refusal_that_speaks_of_no_place_marks_none(problem, path, where):
-    assert _place(problem, SmootherTimedOut("no", where=where), path) is None
+    assert refused_pose(problem, "SmootherTimedOut", where, path) is None
 
 
 def test_a_time_out_has_no_mark_in_its_picture(tmp_path, problem, path):
@@ -196,7 +196,9 @@ def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
         max_lateral_jerk=0.3,
     )  # fmt: skip
     times = np.linspace(0.0, trajectory.duration, 400)
-    panels = {panel.label.split(" [")[0]: panel for panel in _panels(trajectory, limits, SpeedZone(0.1, 0.2), times)}
+    panels = {
+        panel.label.split(" [")[0]: panel for panel in motion_panels(trajectory, limits, SpeedZone(0.1, 0.2), times)
+    }
     always = ["speed", "acceleration", "jerk", "curvature", "yaw rate", "yaw acceleration"]
     assert list(panels) == [*always, "lateral acceleration", "wheel speed", "lateral jerk"]
     samples = trajectory.sample_at(times)
