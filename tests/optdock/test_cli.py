@@ -715,6 +715,27 @@ def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):
     assert len(result.stdout.splitlines()) == 5
 
 
+def test_compare_measures_smoothers_whether_they_are_certified_or_not(tmp_path):
+    write(name="bay.yaml")
+    names = ("CasadiSmoother", "SimpleSmoother", "SavitzkyGolaySmoother")
+    result = run("compare", "bay.yaml", *(word for name in names for word in ("--smoother", name)), "--out", "cmp")
+    assert result.exit_code == 0
+    raw, *rows = list(csv.DictReader((tmp_path / "cmp" / "comparison.csv").read_text().splitlines()))
+    assert [row["smoother"] for row in rows] == [*names]
+    assert [row["status"] for row in rows] == ["certified", "not certified", "not certified"]
+    for row in (raw, *rows):
+        measured = ("length_m", "cusps", "max_curvature_rate_1pm2", "worst_joint_deg", "min_clearance_m", "margin_m")
+        assert np.isfinite([float(row[name]) for name in measured]).all()
+    assert all(float(row["cpu_ms"]) > 0.0 for row in rows)
+    assert raw["cpu_ms"] == rows[0]["reason"] == ""
+    assert float(rows[0]["margin_m"]) > -1e-6
+    assert "curvature" in rows[1]["reason"]
+    assert f"bay, SimpleSmoother: {rows[1]['reason']}" in result.stdout.splitlines()
+    unknown = run("compare", "bay.yaml", "--smoother", "SimpelSmoother")
+    assert unknown.exit_code == 2
+    assert "SimpleSmoother" in unknown.stderr
+
+
 def test_compare_skips_what_is_no_scenario_and_says_so(tmp_path):
     write(name="bay.yaml")
     pathlib.Path("map.yaml").write_text("image: map.png\nresolution: 0.05\n")
