@@ -1,0 +1,244 @@
+"""Study 8: share of the paths that smoothers report as successful and that collide or cannot be driven.
+
+Raw paths of four sources (OMPL, hybrid A*, a recorded drive, waypoints) are smoothed by Nav2's two smoothers with their
+default parameters, which include the collision check, and by CasadiSmoother. Counted are results without an error, from
+raw paths that do not collide. Every result is judged twice: by an independent check with shapely every 5 mm, and by the
+certificate. `collides`: the footprint overlaps an obstacle by more than 1 mm. `too close`: less than the required
+clearance by more than 1 mm. `too sharp`: the curvature, averaged over 0.2 m so that noise of single poses does not
+count, exceeds the limit of the robot by more than 5 %.
+
+    python experiments/08_successes_refuted.py [--scale S] [--jobs N]
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from experiments.dense_check import dense_check
+from experiments.raw_paths import NEEDS_OMPL, SOURCES, has_ompl
+from experiments.study_cases import DockCase, dock_cases, maps_text, problem_for
+from experiments.study_run import Report, bars, run, scaled, share_text
+from optdock.errors import OptdockError, SmootherException
+from optdock.geometry.pose import wrap_angles
+from optdock.plotting.canvas import COLOURS
+from optdock.plugins.interfaces import Smoother
+from optdock.plugins.registry import create_plugin
+from optdock.reports.report import table
+from optdock.verification import certify_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+
+NONE = "none, the raw path"
+SMOOTHERS = ("SimpleSmoother", "SavitzkyGolaySmoother", "CasadiSmoother")
+FAULTS = {"collides": "overlap", "too_close": "lack", "too_sharp": "sharpness"}  # and the column of its size
+STEP, CHORD = 0.005, 0.1  # [m] between samples of the check, and between the three points of a curvature
+TOLERANCE, SHARPER = 1e-3, 1.05  # [m], share of the limit
+BUDGET = 2.0  # [s] of CPU time
+SIZE = (9.0, 4.6)
+
+
+class Task(NamedTuple):
+    """A case and a source of raw paths."""
+
+    scenario: str
+    number: int
+    source: str
+
+
+class Row(NamedTuple):
+    """Verdict on one result; the sizes are positive where the rule is broken: overlap and lack [m], ratio - 1."""
+
+    scenario: str
+    number: int
+    source: str
+    smoother: str
+    ended: str  # `success`, or the name of the error
+    raw_collides: bool
+    certified: bool = False
+    collides: bool = False
+    too_close: bool = False
+    too_sharp: bool = False
+    overlap: float = 0.0
+    lack: float = 0.0
+    sharpness: float = 0.0
+    at_s: float = 0.0
+
+    @property
+    def counts(self) -> bool:
+        """Whether the result is a success from a raw path without collision."""
+        return self.ended == "success" and not self.raw_collides
+
+    @property
+    def is_bad(self) -> bool:
+        """Whether the result breaks one of the three rules."""
+        return self.collides or self.too_close or self.too_sharp
+
+
+def tasks(scale: float) -> list[Task]:
+    """Return every case with every source."""
+    sources = [name for name in SOURCES if name != "OMPL" or has_ompl()]
+    return [Task(*case, source) for case in dock_cases(scale, 4) for source in sources]
+
+
+def work(task: Task) -> Iterator[Row]:
+    """Smooth the raw path of a task by every smoother."""
+    problem = problem_for(DockCase(task.scenario, task.number))
+    raw = SOURCES[task.source](problem, task.number)
+    if raw is None:
+        return
+    collides = dense_check(raw, problem, STEP).min_clearance < -TOLERANCE
+    yield judged(Row(*task, NONE, "success", collides), raw, problem)
+    for name in SMOOTHERS:
+        path, ended = smoothed(raw, problem, name)
+        found = Row(*task, name, ended, collides)
+        yield found if path is None else judged(found, path, problem)
+
+
+def smoothed(raw: Path, problem: DockingProblem, name: str) -> tuple[Path | None, str]:
+    """Return the result of a smoother, and how the call ended."""
+    try:
+        result = create_plugin(Smoother, name).smooth(raw, BUDGET, problem=problem)
+    except (SmootherException, OptdockError) as error:
+        return None, type(error).__name__
+    return result.path, "success" if result.completed else "stopped"
+
+
+def judged(row: Row, path: Path, problem: DockingProblem) -> Row:
+    """Return a row with the verdicts on a path."""
+    dense, limit = dense_check(path, problem, STEP), problem.robot.limits.max_curvature
+    sharpness = driven_curvature(path) / limit - 1.0
+    return row._replace(
+        certified=certify_path(path, problem).certified,
+        collides=dense.min_clearance < -TOLERANCE,
+        too_close=dense.worst_margin < -TOLERANCE,
+        too_sharp=sharpness > SHARPER - 1.0,
+        overlap=max(0.0, -dense.min_clearance),
+        lack=max(0.0, -dense.worst_margin),
+        sharpness=max(0.0, sharpness),
+        at_s=dense.worst_s,
+    )
+
+
+def driven_curvature(path: Path) -> float:
+    """Return the largest curvature of the positions of each gear, as the turn between two chords of 0.1 m [1/m]."""
+    largest = 0.0
+    for segment in path.segments:
+        if segment.length < 2.0 * CHORD:
+            continue
+        s = np.arange(0.0, segment.length - 2.0 * CHORD + 1e-9, 0.02)
+        points = [segment.poses_at(s + k * CHORD)[:, :2] for k in range(3)]
+        first, second = points[1] - points[0], points[2] - points[1]
+        turn = wrap_angles(np.arctan2(second[:, 1], second[:, 0]) - np.arctan2(first[:, 1], first[:, 0]))
+        largest = max(largest, float(np.abs(turn).max()) / CHORD)
+    return largest
+
+
+def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the counted rows of every smoother, and of the raw paths."""
+    return {name: [row for row in rows if row.smoother == name and row.counts] for name in (NONE, *SMOOTHERS)}
+
+
+def report(rows: Sequence[Row]) -> Report:
+    """Return the shares per smoother and per source; sound if no certified path breaks a rule."""
+    found = groups(rows)
+    head = ("smoother", "source", "successes", "bad", *(name.replace("_", " ") for name in FAULTS), "certified")
+    lines = [head]
+    for name, group in found.items():
+        for source in ("all", *dict.fromkeys(row.source for row in rows)):
+            chosen = [row for row in group if source in ("all", row.source)]
+            counts = [sum(getattr(row, fault) for row in chosen) for fault in ("is_bad", *FAULTS, "certified")]
+            lines.append((name, source, str(len(chosen)), *(share_text(count, len(chosen)) for count in counts)))
+    worst = [
+        (name, fault, max(group, key=lambda row: getattr(row, FAULTS[fault]), default=None))
+        for name, group in found.items()
+        for fault in FAULTS
+    ]
+    units = {"collides": "m overlap", "too_close": "m too close", "too_sharp": "times the limit, above it"}
+    where = [("smoother", "worst", "size", "where")]
+    for name, fault, row in worst:
+        if row is not None and getattr(row, fault):
+            size = f"{getattr(row, FAULTS[fault]):.3f} {units[fault]}"
+            where.append((name, fault.replace("_", " "), size, f"{row.scenario}, start {row.number}, {row.source}"))
+    lies = sum(row.certified and row.is_bad for row in rows)
+    nav2 = [row for name in SMOOTHERS[:2] for row in found[name]]
+    bad, hits = sum(row.is_bad for row in nav2), sum(row.collides for row in nav2)
+    closing = (
+        f"Of {len(nav2)} results that Nav2's smoothers report as successful, {share_text(bad, len(nav2))} cannot be "
+        f"driven as they are and {share_text(hits, len(nav2))} collide; of {sum(row.certified for row in rows)} certified "
+        f"paths, {lies} break a rule."
+    )
+    notes = maps_text() if has_ompl() else f"{maps_text()}\n{NEEDS_OMPL}."
+    return Report(f"{notes}\n\n{table(lines)}\n\n{table(where)}", closing, is_sound=lies == 0)
+
+
+def draw(figure: Figure, rows: Sequence[Row]) -> None:
+    """Draw the shares of every smoother and fault, and the deepest collision."""
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
+    found = groups(rows)
+    names = [fault.replace("_", " ") for fault in FAULTS]
+    colours = (COLOURS["limit"], COLOURS["goal"], COLOURS["raw"], COLOURS["path"])
+    for k, (name, group) in enumerate(found.items()):
+        counts = [(sum(getattr(row, fault) for row in group), len(group)) for fault in FAULTS]
+        bars(
+            left,
+            names,
+            counts,
+            offset=0.21 * (k - 1.5),
+            height=0.2,
+            color=colours[k],
+            label=f"{name}, n = {len(group)}",
+        )
+    left.set_xlabel("share of reported successes, % (95 % interval)")
+    left.legend(fontsize=7.5, loc="lower right")
+    hit = max((row for group in found.values() for row in group), key=lambda row: row.overlap, default=None)
+    if hit is not None and hit.overlap > 0.0:
+        draw_hit(right, hit)
+    else:
+        right.set_axis_off()
+
+
+def draw_hit(axes: Axes, row: Row) -> None:
+    """Draw the scene of a collision with the raw path, the result, and the footprint at the worst pose."""
+    problem = problem_for(DockCase(row.scenario, row.number))
+    raw = SOURCES[row.source](problem, row.number)
+    path, _ = (None, "") if raw is None else smoothed(raw, problem, row.smoother)
+    if raw is None or path is None:
+        axes.set_axis_off()
+        return
+    pose = path.poses_at([row.at_s])[0]
+    for outline in problem.all_obstacles.vertices:
+        axes.fill(*outline.T, color=COLOURS["obstacle"], linewidth=0)
+    axes.plot(*raw.sample(0.02).poses[:, :2].T, "--", color=COLOURS["raw"], label=f"raw path: {row.source}")
+    axes.plot(*path.sample(0.02).poses[:, :2].T, color=COLOURS["goal"], label=row.smoother)
+    for k, at in enumerate((*path.poses_at(np.linspace(0.0, path.length, 12)), pose)):
+        c, s = np.cos(at[2]), np.sin(at[2])
+        corners = problem.robot.footprint.vertices @ np.array([[c, s], [-s, c]]) + at[:2]
+        is_worst = k == 12
+        axes.fill(
+            *corners.T,
+            facecolor="none",
+            edgecolor=COLOURS["hot" if is_worst else "limit"],
+            linewidth=1.6 if is_worst else 0.6,
+        )
+    points = np.concatenate((raw.sample(0.1).poses, path.sample(0.1).poses))[:, :2]
+    axes.set_xlim(points[:, 0].min() - 1.0, points[:, 0].max() + 1.0)
+    axes.set_ylim(points[:, 1].min() - 1.0, points[:, 1].max() + 1.0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x, m")
+    axes.set_ylabel("y, m")
+    axes.set_title(f"deepest collision, {1e3 * row.overlap:.0f} mm: {row.scenario}", fontsize=8.5)
+    axes.legend(fontsize=7.5, loc="best")
+
+
+if __name__ == "__main__":
+    sys.exit(run(__file__))
