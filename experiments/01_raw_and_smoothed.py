@@ -165,9 +165,9 @@ def report(rows: Sequence[Row]) -> Report:
     ours, nav2 = chosen(rows, OURS), [row for name in SMOOTHERS[:2] for row in chosen(rows, name)]
     certified = [sum(row.status == "certified" for row in group) for group in (ours, nav2)]
     closing = (
-        f"CasadiSmoother makes certified paths of {share_text(certified[0], len(ours))} raw paths and Nav2's smoothers of "
-        f"{share_text(certified[1], len(nav2))}; its paths cost {interval(gap)} % more than ipopt's optimum "
-        f"({max(gap, default=0.0):.2g} % at most)."
+        f"CasadiSmoother makes certified paths of {share_text(certified[0], len(ours))} raw paths and Nav2's "
+        f"smoothers of {share_text(certified[1], len(nav2))}; its paths cost {interval(gap)} % more than "
+        f"ipopt's optimum ({max(gap, default=0.0):.2g} % at most)."
     )
     notes = f"{maps_text()} {without} raw paths were not found." + ("" if has_ompl() else f"\n{NEEDS_OMPL}.")
     return Report(f"{notes}\n\n{table(lines)}\n\n{table(costs)}", closing)

@@ -1,11 +1,11 @@
 """Study 2: docking a robot with the errors of real robots, by the executor and by the docking law of Nav2's server.
 
 The plant and the sensors are those of `experiments/docking/field`, which share no code with `optdock.simulation`: wheel
-errors, slip, late and lost commands, a drifting and jumping localization, a camera with delays and outliers, and a stored
-dock pose with an error of up to 10 cm and 5 degrees. Every docking has its own seed for the start, the errors of the
-robot and all noise; both methods get the same seeds. The starts are those that Nav2's goal checker accepts, and for the
-executor also wider ones. `good`: reported as docked, and at rest one second later within 10 mm along, 10 mm across and
-1.5 degrees of the true dock. `false`: reported as docked, but not good.
+errors, slip, late and lost commands, a drifting and jumping localization, a camera with delays and outliers, and a
+stored dock pose with an error of up to 10 cm and 5 degrees. Every docking has its own seed for the start, the errors of
+the robot and all noise; both methods get the same seeds. The starts are those that Nav2's goal checker accepts, and for
+the executor also wider ones. `good`: reported as docked, and at rest one second later within 10 mm along, 10 mm across
+and 1.5 degrees of the true dock. `false`: reported as docked, but not good.
 
     python experiments/02_docking.py [--scale S] [--jobs N]
 """
@@ -94,8 +94,8 @@ def report(rows: Sequence[Row]) -> Report:
     failed = sum(row.has_collided or (row.is_docked and not row.is_good) for row in ours)
     good = [share_text(sum(row.is_good for row in group), len(group)) for group in (ours, law)]
     closing = (
-        f"{good[0]} dockings of the executor and {good[1]} of Nav2's law are good; {failed} of the executor's collide or "
-        "are reported although the robot is not docked."
+        f"{good[0]} dockings of the executor and {good[1]} of Nav2's law are good; {failed} of the executor's collide "
+        "or are reported although the robot is not docked."
     )
     return Report(table(lines), closing, is_sound=failed == 0)
 
@@ -121,8 +121,8 @@ def draw(figure: Figure, rows: Sequence[Row]) -> None:
     left.set_xlabel("good dockings, % (95 % interval)")
     for axes, most in zip(others, (10.0, 1.5), strict=True):
         axes.axvline(most, color=COLOURS["limit"], linestyle=":")
-        axes.set_xscale("symlog", linthresh=most)
-        axes.set_xlim(0.0, None)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.set_ylim(0.0, 102.0)
         axes.grid(alpha=0.25)
     others[0].set_ylabel(f"share of reported dockings, % ({worlds[0]})")

@@ -34,7 +34,7 @@ SIZE = (9.0, 3.8)
 
 
 class Row(NamedTuple):
-    """Result of one call: `certified`, `timed out`, `impossible`, or the name of the error; price [s], CPU time [ms]."""
+    """Result of one call: `certified`, `timed out`, `impossible` or the name of the error; price [s], CPU time [ms]."""
 
     scenario: str
     number: int

@@ -1,9 +1,9 @@
 """Study 7: CPU time of `plan_dock` over the distance, the number of obstacles and the size of the map.
 
 Three sweeps in halls with pillars at the crossings of a grid of 4 m, displaced at random: the distance from start to
-dock (1 to 100 m, 300 pillars), the number of polygons (1 to 2,000, 15 m), and the cells of a map of 5 cm per cell (250 x
-250 to 8,000 x 8,000, 8 m, one pillar per 16 m^2). With a map, the first call also converts the cells to obstacles; later
-calls on the same map do not. The exponent of a power law is fitted to the upper half of each sweep.
+dock (1 to 100 m, 300 pillars), the number of polygons (1 to 2,000, 15 m), and the cells of a map of 5 cm per cell (250
+x 250 to 8,000 x 8,000, 8 m, one pillar per 16 m^2). With a map, the first call also converts the cells to obstacles;
+later calls on the same map do not. The exponent of a power law is fitted to the upper half of each sweep.
 
     python experiments/07_scaling.py [--scale S] [--jobs N]
 """
@@ -83,7 +83,7 @@ def work(task: Task) -> Iterator[Row]:
     """Measure one point."""
     prepared()
     task = Task(*task)
-    rng = np.random.default_rng((task.size, task.number, len(task.sweep)))
+    rng = np.random.default_rng((task.number, len(task.sweep)))  # the same scene at every size
     if task.sweep == "cells":
         problem = on_map(task.size, rng)
         yield measured(task._replace(sweep="first call"), problem)
@@ -200,6 +200,10 @@ def draw(figure: Figure, rows: Sequence[Row]) -> None:
             axes.plot(ends_of_fit, fit.factor * ends_of_fit**fit.value, color=colour, label=text)
         axes.set_xscale("log")
         axes.set_yscale("log")
+        axes.set_xticks((1, 10, 100) if sweep == "distance" else SWEEPS[sweep][1][::2], minor=False)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
         axes.set_xlabel(label)
         axes.grid(alpha=0.25)
     for axes in panels.values():

@@ -1,11 +1,11 @@
 """Study 8: share of the paths that smoothers report as successful and that collide or cannot be driven.
 
 Raw paths of four sources (OMPL, hybrid A*, a recorded drive, waypoints) are smoothed by Nav2's two smoothers with their
-default parameters, which include the collision check, and by CasadiSmoother. Counted are results without an error, from
-raw paths that do not collide. Every result is judged twice: by an independent check with shapely every 5 mm, and by the
-certificate. `collides`: the footprint overlaps an obstacle by more than 1 mm. `too close`: less than the required
-clearance by more than 1 mm. `too sharp`: the curvature, averaged over 0.2 m so that noise of single poses does not
-count, exceeds the limit of the robot by more than 5 %.
+default parameters, with and without the collision check (the default of Nav2's SmoothPath node is without), and by
+CasadiSmoother. Counted are results without an error, from raw paths that do not collide. Every result is judged twice:
+by an independent check with shapely every 5 mm, and by the certificate. `collides`: the footprint overlaps an obstacle
+by more than 1 mm. `too close`: less than the required clearance by more than 1 mm. `too sharp`: the curvature, averaged
+over 0.2 m so that noise of single poses does not count, exceeds the limit of the robot by more than 5 %.
 
     python experiments/08_successes_refuted.py [--scale S] [--jobs N]
 """
@@ -20,9 +20,9 @@ import numpy as np
 from experiments.dense_check import dense_check
 from experiments.raw_paths import NEEDS_OMPL, SOURCES, has_ompl
 from experiments.study_cases import DockCase, dock_cases, maps_text, problem_for
-from experiments.study_run import Report, bars, run, scaled, share_text
-from optdock.errors import OptdockError, SmootherException
-from optdock.geometry.pose import wrap_angles
+from experiments.study_run import Report, bars, run, share_text
+from optdock.errors import OptdockError
+from optdock.geometry.pose import transform_points, wrap_angles
 from optdock.plotting.canvas import COLOURS
 from optdock.plugins.interfaces import Smoother
 from optdock.plugins.registry import create_plugin
@@ -39,12 +39,20 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
 
 NONE = "none, the raw path"
-SMOOTHERS = ("SimpleSmoother", "SavitzkyGolaySmoother", "CasadiSmoother")
+UNCHECKED = {"check_for_collisions": False}
+SMOOTHERS: dict[str, tuple[str, dict[str, object]]] = {
+    "SimpleSmoother": ("SimpleSmoother", UNCHECKED),
+    "SimpleSmoother, checked": ("SimpleSmoother", {}),
+    "SavitzkyGolaySmoother": ("SavitzkyGolaySmoother", UNCHECKED),
+    "SavitzkyGolaySmoother, checked": ("SavitzkyGolaySmoother", {}),
+    "CasadiSmoother": ("CasadiSmoother", {}),
+}
+OURS = "CasadiSmoother"
 FAULTS = {"collides": "overlap", "too_close": "lack", "too_sharp": "sharpness"}  # and the column of its size
 STEP, CHORD = 0.005, 0.1  # [m] between samples of the check, and between the three points of a curvature
 TOLERANCE, SHARPER = 1e-3, 1.05  # [m], share of the limit
 BUDGET = 2.0  # [s] of CPU time
-SIZE = (9.0, 4.6)
+SIZE = (10.0, 5.2)
 
 
 class Task(NamedTuple):
@@ -107,8 +115,8 @@ def work(task: Task) -> Iterator[Row]:
 def smoothed(raw: Path, problem: DockingProblem, name: str) -> tuple[Path | None, str]:
     """Return the result of a smoother, and how the call ended."""
     try:
-        result = create_plugin(Smoother, name).smooth(raw, BUDGET, problem=problem)
-    except (SmootherException, OptdockError) as error:
+        result = create_plugin(Smoother, *SMOOTHERS[name]).smooth(raw, BUDGET, problem=problem)
+    except OptdockError as error:
         return None, type(error).__name__
     return result.path, "success" if result.completed else "stopped"
 
@@ -170,12 +178,12 @@ def report(rows: Sequence[Row]) -> Report:
             size = f"{getattr(row, FAULTS[fault]):.3f} {units[fault]}"
             where.append((name, fault.replace("_", " "), size, f"{row.scenario}, start {row.number}, {row.source}"))
     lies = sum(row.certified and row.is_bad for row in rows)
-    nav2 = [row for name in SMOOTHERS[:2] for row in found[name]]
+    nav2 = [row for name in SMOOTHERS if name != OURS for row in found[name]]
     bad, hits = sum(row.is_bad for row in nav2), sum(row.collides for row in nav2)
     closing = (
         f"Of {len(nav2)} results that Nav2's smoothers report as successful, {share_text(bad, len(nav2))} cannot be "
-        f"driven as they are and {share_text(hits, len(nav2))} collide; of {sum(row.certified for row in rows)} certified "
-        f"paths, {lies} break a rule."
+        f"driven as they are and {share_text(hits, len(nav2))} collide; of "
+        f"{sum(row.certified for row in rows)} certified paths, {lies} break a rule."
     )
     notes = maps_text() if has_ompl() else f"{maps_text()}\n{NEEDS_OMPL}."
     return Report(f"{notes}\n\n{table(lines)}\n\n{table(where)}", closing, is_sound=lies == 0)
@@ -186,57 +194,58 @@ def draw(figure: Figure, rows: Sequence[Row]) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
     found = groups(rows)
     names = [fault.replace("_", " ") for fault in FAULTS]
-    colours = (COLOURS["limit"], COLOURS["goal"], COLOURS["raw"], COLOURS["path"])
+    colours = [COLOURS[name] for name in ("limit", "goal", "reverse", "dock", "raw", "path")]
     for k, (name, group) in enumerate(found.items()):
         counts = [(sum(getattr(row, fault) for row in group), len(group)) for fault in FAULTS]
         bars(
             left,
             names,
             counts,
-            offset=0.21 * (k - 1.5),
-            height=0.2,
+            offset=0.14 * (k - 2.5),
+            height=0.13,
             color=colours[k],
             label=f"{name}, n = {len(group)}",
         )
     left.set_xlabel("share of reported successes, % (95 % interval)")
-    left.legend(fontsize=7.5, loc="lower right")
-    hit = max((row for group in found.values() for row in group), key=lambda row: row.overlap, default=None)
-    if hit is not None and hit.overlap > 0.0:
-        draw_hit(right, hit)
-    else:
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    made = [row for name in SMOOTHERS for row in found[name]]
+    worst = max(made, key=lambda row: (row.overlap, row.lack), default=None)
+    raw, path = (None, None) if worst is None else paths_of(worst)
+    if worst is None or raw is None or path is None:
         right.set_axis_off()
+        return
+    size = f"overlap {1e3 * worst.overlap:.0f} mm" if worst.collides else f"{1e3 * worst.lack:.0f} mm too close"
+    right.set_title(f"worst clearance, {size}: {worst.scenario}, start {worst.number}", fontsize=8.5)
+    draw_scene(right, worst, raw, path)
 
 
-def draw_hit(axes: Axes, row: Row) -> None:
-    """Draw the scene of a collision with the raw path, the result, and the footprint at the worst pose."""
+def paths_of(row: Row) -> tuple[Path | None, Path | None]:
+    """Return the raw path and the smoothed path of a row, computed again."""
     problem = problem_for(DockCase(row.scenario, row.number))
     raw = SOURCES[row.source](problem, row.number)
-    path, _ = (None, "") if raw is None else smoothed(raw, problem, row.smoother)
-    if raw is None or path is None:
-        axes.set_axis_off()
-        return
-    pose = path.poses_at([row.at_s])[0]
-    for outline in problem.all_obstacles.vertices:
+    return raw, None if raw is None else smoothed(raw, problem, row.smoother)[0]
+
+
+def draw_scene(axes: Axes, row: Row, raw: Path, path: Path) -> None:
+    """Draw the obstacles, both paths, and the footprint along the smoothed path and at its worst pose."""
+    problem = problem_for(DockCase(row.scenario, row.number))
+    points = np.concatenate((raw.sample(0.02).poses, path.sample(0.02).poses))[:, :2]
+    lower, upper = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    for outline in problem.all_obstacles.in_box(lower, upper).vertices:
         axes.fill(*outline.T, color=COLOURS["obstacle"], linewidth=0)
     axes.plot(*raw.sample(0.02).poses[:, :2].T, "--", color=COLOURS["raw"], label=f"raw path: {row.source}")
     axes.plot(*path.sample(0.02).poses[:, :2].T, color=COLOURS["goal"], label=row.smoother)
-    for k, at in enumerate((*path.poses_at(np.linspace(0.0, path.length, 12)), pose)):
-        c, s = np.cos(at[2]), np.sin(at[2])
-        corners = problem.robot.footprint.vertices @ np.array([[c, s], [-s, c]]) + at[:2]
-        is_worst = k == 12
-        axes.fill(
-            *corners.T,
-            facecolor="none",
-            edgecolor=COLOURS["hot" if is_worst else "limit"],
-            linewidth=1.6 if is_worst else 0.6,
-        )
-    points = np.concatenate((raw.sample(0.1).poses, path.sample(0.1).poses))[:, :2]
-    axes.set_xlim(points[:, 0].min() - 1.0, points[:, 0].max() + 1.0)
-    axes.set_ylim(points[:, 1].min() - 1.0, points[:, 1].max() + 1.0)
+    stations = (*np.linspace(0.0, path.length, 12), row.at_s)
+    for s, outline in zip(
+        stations, transform_points(path.poses_at(stations), problem.robot.footprint.vertices), strict=True
+    ):
+        edge = {"edgecolor": COLOURS["hot"], "linewidth": 1.6} if s == row.at_s else {"edgecolor": COLOURS["limit"]}
+        axes.fill(*outline.T, facecolor="none", **edge)
+    axes.set_xlim(lower[0], upper[0])
+    axes.set_ylim(lower[1], upper[1])
     axes.set_aspect("equal")
     axes.set_xlabel("x, m")
     axes.set_ylabel("y, m")
-    axes.set_title(f"deepest collision, {1e3 * row.overlap:.0f} mm: {row.scenario}", fontsize=8.5)
     axes.legend(fontsize=7.5, loc="best")
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["NEEDS_OMPL", "SOURCES", "has_ompl", "hybrid_a_star_path", "ompl_path", "recorded_path", "waypoint_path"]
 
-SPACING = 0.05  # [m] between poses, one cell of a usual costmap
+SPACING, FINE = 0.05, 0.002  # [m] between poses: one cell of a usual costmap; of OMPL's curves, to find their cusps
 RECORDED_SPACING = 0.1  # [m]
 STAGING = 0.7  # [m] from the staging pose to the dock, as in Nav2's docking server
 CHECKS = 20_000  # validity checks of OMPL, after which it has found no path
@@ -108,9 +108,10 @@ def ompl_path(problem: DockingProblem, seed: int) -> Path | None:
     is_valid.checked = 0
     setup.simplifySolution(base.PlannerTerminationCondition(is_valid.has_done_enough))
     found = setup.getSolutionPath()
-    found.interpolate(max(3, math.ceil(found.length() / SPACING)))
+    found.interpolate(max(3, math.ceil(found.length() / FINE)))
     poses = np.array([[state.getX(), state.getY(), state.getYaw()] for state in found.getStates()])
-    return _as_path(np.concatenate((poses, straight(goal, problem.goal))), problem)
+    thinned = Path.from_poses(poses).sample(SPACING).poses  # every gear from end to end
+    return _as_path(np.concatenate((thinned, straight(goal, problem.goal))), problem)
 
 
 class _Validity:
@@ -122,10 +123,11 @@ class _Validity:
         self._ends = np.array([[problem.goal.x, problem.goal.y], [problem.start.x, problem.start.y]])
 
     def has_done_enough(self) -> bool:
+        """Whether OMPL has used up its checks."""
         self.checked += 1  # OMPL may wait for an end without checking states
         return self.checked > CHECKS
 
-    def __call__(self, state: Any) -> bool:
+    def __call__(self, state: Any) -> bool:  # noqa: ANN401 - OMPL has no types
         self.checked += 1
         pose, problem = np.array([[state.getX(), state.getY(), state.getYaw()]]), self._problem
         from_goal, from_start = np.hypot(*(self._ends - pose[:, :2]).T)
@@ -134,7 +136,7 @@ class _Validity:
         return bool(clearance[0] >= required[0] - 1e-6)
 
 
-def _state(space: Any, pose: Pose2) -> Any:
+def _state(space: Any, pose: Pose2) -> Any:  # noqa: ANN401 - OMPL has no types
     state = space.allocState()
     state.setXY(pose.x, pose.y)
     state.setYaw((pose.yaw + math.pi) % (2.0 * math.pi) - math.pi)  # in [-pi, pi)

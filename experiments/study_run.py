@@ -60,7 +60,9 @@ def run(script: str, arguments: Sequence[str] | None = None) -> int:
 
     The results are written to results/STEM/: rows.csv, study.md, chart.png and chart.svg.
     """
-    stem = Path(script).stem
+    stem, folder = Path(script).stem, Path(script).resolve().parent
+    # Python puts the folder of a script first, where `experiments/mujoco` would hide the package mujoco.
+    sys.path[:] = [place for place in sys.path if Path(place).resolve() != folder]
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     study = importlib.import_module(f"experiments.{stem}")
@@ -98,7 +100,7 @@ def _rows_of(stem: str, tasks: list[Any], jobs: int) -> list[Any]:
     return rows
 
 
-def worked(stem: str, task: Any) -> list[Any]:
+def worked(stem: str, task: tuple[Any, ...]) -> list[Any]:
     """Return the rows of one task of a study; budgets count CPU time."""
     count_cpu()
     return list(importlib.import_module(f"experiments.{stem}").work(task))
@@ -131,13 +133,16 @@ def share_interval(count: int, total: int) -> tuple[float, float]:
 
 
 def share_text(count: int, total: int) -> str:
-    """Return a count with the percentages of its interval, such as `3/10 (11-60 %)`."""
+    """Return a count with the percentages of its interval, such as `3/10 (10.8-60.3 %)`."""
     low, high = share_interval(count, total)
-    return f"{count}/{total} ({100.0 * low:.0f}-{100.0 * high:.0f} %)" if total else "-"
+    return f"{count}/{total} ({100.0 * low:.3g}-{100.0 * high:.3g} %)" if total else "-"
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """Return a median and its distribution-free interval, between two order statistics; NaN without values."""
+    """Return a median and its distribution-free interval, between two order statistics; NaN without values.
+
+    Fewer than six values have no such interval; their range is returned.
+    """
     from scipy.stats import binom
 
     ordered = np.sort(np.asarray(values, dtype=np.float64))
@@ -176,7 +181,7 @@ def power_law(x: Sequence[float], y: Sequence[float]) -> Exponent:
     return Exponent(round(float(fit.slope), 9), fit.slope - half, fit.slope + half, math.exp(fit.intercept))
 
 
-def bars(axes: Axes, names: Sequence[str], counts: Sequence[tuple[int, int]], **style: Any) -> None:
+def bars(axes: Axes, names: Sequence[str], counts: Sequence[tuple[int, int]], **style: float | str) -> None:
     """Draw shares in percent as horizontal bars with their intervals, the first on top.
 
     Args:
