@@ -174,8 +174,8 @@ def report(rows: Sequence[Row]) -> Report:
             "jerk / limit",
         )
     ]
-    worst: dict[str, float] = {}
-    for world in WORLDS:
+    worst = dict.fromkeys(WORLDS, math.nan)
+    for world in dict.fromkeys(row.world for row in rows):
         group = [row for row in rows if row.world == world]
         middle, low, high = median_interval([row.cross for row in group])
         most = [max(getattr(row, name) for row in group) for name in ("cross", "yaw", "way_cross", "beyond", "jerk")]

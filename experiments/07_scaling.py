@@ -207,7 +207,8 @@ def draw(figure: Figure, rows: Sequence[Row]) -> None:
         axes.set_xlabel(label)
         axes.grid(alpha=0.25)
     for axes in panels.values():
-        axes.legend(fontsize=7.5, loc="upper left")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(fontsize=7.5, loc="upper left")
     panels["distance"].set_ylabel("CPU time of a call, ms")
 
 
