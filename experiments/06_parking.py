@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 FAMILIES = {"slots": bays, "TPCAP": tpcap, "OBCA": obca}
 FILES = {"TPCAP": "tpcap/Case1.csv", "OBCA": "obca/scenes.json"}
 BUDGET = 3.0  # [s] of CPU time
+CLOCK = "cpu"
 SIZE = (9.5, 4.2)
 
 

@@ -100,6 +100,7 @@ def tasks(scale: float) -> list[Task]:
 
 def work(task: Task) -> Iterator[Row]:
     """Smooth the raw path of a task by every smoother."""
+    task = Task(*task)
     problem = problem_for(DockCase(task.scenario, task.number))
     raw = SOURCES[task.source](problem, task.number)
     if raw is None:

@@ -3,19 +3,17 @@
     python -m experiments.identity record results/identity/before.json --every 4
     python -m experiments.identity compare results/identity/before.json results/identity/after.json
 
-A refactoring must not change a plan. Every clock of a recording counts its calls, 0.1 ms each, so that time budgets end
-at the same place on every machine; the numbers of a plan are stored as digests of their bits. Texts of errors and
-endings may be reworded: they are compared too, so read the differences.
+A refactoring must not change a plan. Recordings use the counted clock, so that time budgets end at the same place on
+every machine; the numbers of a plan are stored as digests of their bits. Texts of errors and endings may be reworded:
+they are compared too, so read the differences.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import os
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,24 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-TICK = 1e-4  # [s] per call of a clock: about the work of a call on a two-core machine
 HARD = ("rack_halls", "maze", "wrong_way", "along_a_wall", "contact", "bays", "forklifts", "blocked_straight")
-_calls = itertools.count()
-
-
-def count_calls() -> None:
-    """Replace the clocks of the process; must run before `optdock` is imported, which binds them as defaults."""
-
-    def counted() -> float:
-        return next(_calls) * TICK
-
-    time.monotonic = time.thread_time = time.perf_counter = counted
-
-
-def restart() -> None:
-    """Set the clocks back, so that each problem is independent of the previous ones."""
-    global _calls  # noqa: PLW0603 - the clocks read it
-    _calls = itertools.count()
 
 
 def problems(every: int) -> Iterator[tuple[str, DockingProblem]]:
@@ -79,13 +60,11 @@ def plan_of(problem: DockingProblem) -> list[object]:
 
 def dockings(every: int) -> Iterator[tuple[str, Callable[[], object]]]:
     """Yield dockings of the studies by name, each as a call."""
-    from experiments import cpu_budgets
     from experiments.docking.field.outcome import FieldTask
     from experiments.docking.field.run import driven_in_field
     from experiments.docking.field.worlds import FIELD_WORLDS
     from experiments.docking.run import PLAN, Task, driven
 
-    cpu_budgets.count_cpu = lambda: None  # the counting clock is in place
     for world in PLAN:
         for number in range(0, 4, every):
             yield f"{world} {number}", lambda w=world, n=number: driven(Task("executor", w, "nav2", 50.0, n, 5))
@@ -95,13 +74,14 @@ def dockings(every: int) -> Iterator[tuple[str, Callable[[], object]]]:
 
 def record(out: Path, every: int) -> None:
     """Write a recording."""
-    count_calls()
+    from optdock.deadline import set_clock
+
     found: dict[str, object] = {}
     for name, problem in problems(every):
-        restart()
+        set_clock("counted")
         found[f"plan, {name}"] = plan_of(problem)
     for name, docking in dockings(every):
-        restart()
+        set_clock("counted")
         found[f"docking, {name}"] = [repr(value) for value in docking()]  # type: ignore[attr-defined]
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(found, indent=0), encoding="utf-8")

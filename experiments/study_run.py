@@ -1,8 +1,9 @@
-"""Frame of the numbered studies: tasks by scale, several processes, CPU clock, results and a chart as files.
+"""Frame of the numbered studies: tasks by scale, the runner, results and a chart as files.
 
-A study is a module with a docstring (its legend) and four functions: `tasks(scale)`, `work(task)`, which returns rows
-(named tuples), `report(rows)`, and `draw(figure, rows)`. Tasks and rows are plain values. Every task counts its budgets
-in CPU time, so the figures do not depend on the load of the machine. Intervals are of 95 %.
+A study is a module with a docstring (its legend), a named tuple `Row`, and four functions: `tasks(scale)`,
+`work(task)`, which yields rows, `report(rows)`, and `draw(figure, rows)`. Tasks and rows consist of plain values.
+Time budgets use the counted clock, with which the rows do not depend on the machine, or the CPU clock in studies with
+`CLOCK = "cpu"`, which are about CPU time. Neither depends on the load of the machine. Intervals are of 95 %.
 """
 
 from __future__ import annotations
@@ -14,19 +15,19 @@ import math
 import os
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from experiments.cpu_budgets import count_cpu
+from optdock.cli.common import working
 from optdock.io.atomic_file import replacing, write_text
 from optdock.plotting.canvas import new_figure, save_figure
+from optdock.runner import Case, Workers, run_cases
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from types import ModuleType
 
     from matplotlib.axes import Axes
 
@@ -71,10 +72,14 @@ def run(script: str, arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--scale", type=float, default=1.0, help="share of the usual number of cases (default: 1)")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes (default: %(default)s)")
+    parser.add_argument("--scheduler", help="address of a dask scheduler, instead of processes of this machine")
     parser.add_argument("--out", type=Path, default=Path("results") / stem, help="folder (default: %(default)s)")
     options = parser.parse_args(arguments)
     began = time.monotonic()
-    rows = _rows_of(stem, list(study.tasks(options.scale)), options.jobs)
+    workers = Workers(
+        None if options.scheduler else options.jobs, options.scheduler, getattr(study, "CLOCK", "counted")
+    )
+    rows = _rows_of(study, list(study.tasks(options.scale)), workers)
     report = study.report(rows)
     text = f"{study.__doc__.strip()}\n\n{report.tables}\n\n{report.closing}\n"
     options.out.mkdir(parents=True, exist_ok=True)
@@ -89,21 +94,25 @@ def run(script: str, arguments: Sequence[str] | None = None) -> int:
     return 0 if report.is_sound else 1
 
 
-def _rows_of(stem: str, tasks: list[Any], jobs: int) -> list[Any]:
-    """Return the rows of all tasks, in the order of the tasks."""
+def _rows_of(study: ModuleType, tasks: list[Any], workers: Workers) -> list[Any]:
+    """Return the rows of all tasks, in the order of the tasks.
+
+    Raises:
+        RuntimeError: If a task fails.
+    """
     rows: list[Any] = []
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        for done, found in enumerate(pool.map(worked, [stem] * len(tasks), tasks), start=1):
-            rows += found
-            if sys.stderr.isatty():
-                sys.stderr.write(f"\r{stem}: {done} of {len(tasks)}{chr(10) if done == len(tasks) else ''}")
+    cases = [Case(f"{number}", (study.__name__, tuple(task))) for number, task in enumerate(tasks)]
+    with working(study.__name__, len(cases)) as advance, workers:
+        for outcome in run_cases(worked, cases, workers=workers, progress=advance):
+            if outcome.error:
+                raise RuntimeError(f"{study.__name__}, {tasks[int(outcome.key)]}: {outcome.error}")
+            rows += [study.Row(*row) for row in outcome.value]
     return rows
 
 
-def worked(stem: str, task: tuple[Any, ...]) -> list[Any]:
-    """Return the rows of one task of a study; budgets count CPU time."""
-    count_cpu()
-    return list(importlib.import_module(f"experiments.{stem}").work(task))
+def worked(name: str, task: tuple[Any, ...]) -> list[Any]:
+    """Return the rows of one task of a study, in a worker."""
+    return list(importlib.import_module(name).work(task))
 
 
 def _write_rows(target: Path, rows: Sequence[Any]) -> None:

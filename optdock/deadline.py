@@ -1,18 +1,111 @@
-"""Deadline of a call, shared by all stages that may take a long time."""
+"""Deadline of a call, shared by all stages that may take a long time, and the clock of all time budgets.
+
+The clock of a process is exchangeable:
+
+- `wall`, the default, measures real time;
+- `cpu` measures the CPU time of the process, so that other load on the machine uses up no budget;
+- `counted` measures no time: it advances by `TICK` at each reading. A plan then depends only on its problem and its
+  budget, not on the machine, its load, the number of worker processes or the calls before.
+
+On a two-core server, counted seconds per CPU second of 58 calls of `plan_dock` with a budget of 1 s are 0.9 in the
+median, 0.6 to 1.5 for nine of ten calls, and 0.4 to 2.7 in the extremes.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import copy
 import gc
+import itertools
 import math
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["ENDLESS", "Deadline", "OutOfTime", "garbage_collection_paused", "never_late"]
+__all__ = [
+    "ENDLESS",
+    "TICK",
+    "ClockName",
+    "Deadline",
+    "OutOfTime",
+    "Stopwatch",
+    "budget_clock",
+    "clock_name",
+    "garbage_collection_paused",
+    "never_late",
+    "now",
+    "set_clock",
+]
+
+ClockName: TypeAlias = Literal["wall", "cpu", "counted"]
+
+TICK = 2.0**-12  # [s], 0.24 ms; times and their differences are exact multiples, whatever the calls before
+
+
+class _Clock:
+    """The clock of time budgets of this process."""
+
+    __slots__ = ("name", "read")
+
+    def __init__(self, name: ClockName, rate: float = 1.0) -> None:
+        self.name, self.read = name, time.monotonic
+        if name == "cpu":
+            self.read = time.process_time
+        elif name == "counted":
+            calls, tick = itertools.count(), rate * TICK
+            self.read = lambda: next(calls) * tick
+        if name != "counted" and rate != 1.0:
+            exact = self.read
+            self.read = lambda: rate * exact()
+
+
+class _Process:
+    clock = _Clock("wall")
+
+
+def now() -> float:
+    """Return the time [s] on the clock of time budgets, from an arbitrary origin."""
+    return _Process.clock.read()
+
+
+def clock_name() -> ClockName:
+    """Return the name of the clock of time budgets."""
+    return _Process.clock.name
+
+
+def set_clock(name: ClockName, rate: float = 1.0) -> None:
+    """Set the clock of time budgets of this process; a counted clock starts at 0.
+
+    The clock applies to every `Deadline` and `PluginContext` of all threads that is created afterwards, unless it is
+    given another clock.
+
+    Args:
+        name: `wall`, `cpu` or `counted`.
+        rate: Speed of the clock, > 0. With 0.25 every time limit, also a limit that is fixed in the code, allows four
+            times its duration.
+
+    Raises:
+        ValueError: If the clock is unknown, or the rate is not finite and > 0.
+    """
+    if name not in get_args(ClockName) or not (math.isfinite(rate) and rate > 0.0):
+        raise ValueError(f"clock: must be one of {', '.join(get_args(ClockName))} with a rate > 0, got {name}, {rate}")
+    _Process.clock = _Clock(name, rate)
+
+
+@contextlib.contextmanager
+def budget_clock(name: ClockName, rate: float = 1.0) -> Iterator[None]:
+    """Use a clock for the time budgets of this process within the context, and then the previous clock again.
+
+    The arguments and errors are those of `set_clock`.
+    """
+    before = _Process.clock
+    set_clock(name, rate)
+    try:
+        yield
+    finally:
+        _Process.clock = before
 
 
 class OutOfTime(Exception):
@@ -45,7 +138,7 @@ class Deadline:
 
     Args:
         seconds: Wall-clock allowance [s]; infinite without a deadline.
-        clock: Function that returns monotonic seconds.
+        clock: Function that returns monotonic seconds; by default the present clock of time budgets.
         stop: Function that is polled together with the clock; if it returns True, the deadline passes immediately.
 
     >>> now = iter([10.0, 10.2, 10.6])
@@ -59,14 +152,15 @@ class Deadline:
     def __init__(
         self,
         seconds: float = math.inf,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = now,
         stop: Callable[[], bool] = never_late,
     ) -> None:
-        self.seconds, self._clock, self._stop = seconds, clock, _Latch(stop)
-        self._began = clock()
+        self.seconds, self._stop = seconds, _Latch(stop)
+        self._clock = _Process.clock.read if clock is now else clock
+        self._began = self._clock()
 
     @classmethod
-    def of_allowance(cls, seconds: float, clock: Callable[[], float] = time.monotonic) -> Deadline:
+    def of_allowance(cls, seconds: float, clock: Callable[[], float] = now) -> Deadline:
         """Return the deadline of a Nav2 time allowance [s], where 0 means no deadline."""
         return cls(seconds if seconds > 0.0 else math.inf, clock)
 
@@ -87,6 +181,11 @@ class Deadline:
     def passed(self) -> bool:
         """Whether no time remains; usable as a `cancel_checker` or `is_late`."""
         return self.elapsed >= self.seconds or self._stop()
+
+    @property
+    def is_wall(self) -> bool:
+        """Whether the clock measures real time."""
+        return self._clock is time.monotonic
 
     @property
     def stopped(self) -> bool:
@@ -110,6 +209,24 @@ class Deadline:
 
 
 ENDLESS = Deadline()
+
+
+class Stopwatch:
+    """Time since construction on the clock of a deadline, divided into work and suspension.
+
+    On a wall clock, the smaller of real time and CPU time of the thread is work: the former includes the time of other
+    processes, and the latter may be coarse. On every other clock all time is work.
+    """
+
+    __slots__ = ("_began", "_deadline", "_worked")
+
+    def __init__(self, deadline: Deadline) -> None:
+        self._deadline, self._began, self._worked = deadline, deadline.elapsed, time.thread_time()
+
+    def read(self) -> tuple[float, float]:
+        """Return the elapsed time and the part of it that was work [s]."""
+        took = self._deadline.elapsed - self._began
+        return took, min(took, time.thread_time() - self._worked) if self._deadline.is_wall else took
 
 
 @contextlib.contextmanager

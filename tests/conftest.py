@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pytest
 from hypothesis import HealthCheck, settings
 
-from experiments.cpu_budgets import count_cpu
+from optdock.deadline import set_clock
 from optdock.planning import pipeline
 from optdock.timing.near_optimal import NearOptimal
 from smoothers import CasadiSmoother
@@ -26,7 +26,7 @@ REAL_DATA = Path(os.environ.get("OPTDOCK_DATA", ROOT.parent / "shared" / "data")
 
 
 # What a budget allows must not depend on what else the machine does while the tests run.
-count_cpu()
+set_clock("cpu")
 
 
 def warm_up_installed_plugins_once():

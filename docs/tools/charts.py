@@ -76,7 +76,7 @@ def draw_contact(axes: Axes, rows: list[dict[str, str]]) -> None:
 
 CHARTS = {
     "calls": (draw_calls, "python -m experiments.manoeuvres", 4.2),
-    "contact": (draw_contact, "python experiments/05_contact_forces.py", 1.7),
+    "contact": (draw_contact, "python experiments/05_contact_forces.py --scale 4", 1.7),
 }
 """Drawing function, command of the table, and height [inch]."""
 

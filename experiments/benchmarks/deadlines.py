@@ -19,10 +19,10 @@ import numpy as np
 import shapely
 
 from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile, yardstick
-from experiments.cpu_budgets import count_cpu
 from experiments.families import FEASIBLE_FAMILIES, instance
 from experiments.manoeuvres.cases import rectangle
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
+from optdock.deadline import set_clock
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str]) -> None:
     )
     options = parser.parse_args(list(arguments))
     if options.cpu_clock:
-        count_cpu()
+        set_clock("cpu")
     recorded = () if options.among_walls else (*_problems(options.seeds),)
     warm_up()
     header = ("budget ms", "calls", "certified", "timed out", "refused")

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, TypeVar
 from experiments.docking.field.run import driven_in_field, field_tasks
 from experiments.docking.field.worlds import FIELD_WORLDS
 from experiments.docking.run import PLAN, driven, tasks
+from optdock.deadline import set_clock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -65,6 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     for name in THREADS:  # before NumPy is imported, here and in the worker processes
         os.environ.setdefault(name, "1")
+    set_clock("cpu")
     options.out.mkdir(parents=True, exist_ok=True)
     if options.faults:
         from experiments.docking.faults import fault_table
@@ -131,7 +133,7 @@ def undocking_study(options: argparse.Namespace, worlds: list[str]) -> int:
 def results_of(drive: Callable[[Given], Result], todo: Sequence[Given], jobs: int) -> list[Result]:
     """Return the results of the tasks in their order, computed by several processes."""
     found: list[Result] = []
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=set_clock, initargs=("cpu",)) as pool:
         for outcome in pool.map(drive, todo, chunksize=8):
             found.append(outcome)
             if len(found) % 100 == 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from experiments.docking.outcome import FollowedPlan, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
 from experiments.graceful_law import nav2_command, nav2_filtered
+from optdock.deadline import now as clock
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
@@ -125,9 +125,9 @@ def executed(case: Case, world: World, rate: float, controller: str = "TrackingC
     )
     now, reported = robot.measurements, 0
     while robot.time < 5.0 * TIMEOUT:
-        planned_before, began = sum(planning.spent), time.thread_time()
+        planned_before, began = sum(planning.spent), clock()
         step = executor.step(now)
-        cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
+        cycles.spent.append(clock() - began - sum(planning.spent) + planned_before)
         reported += sum(event.name == "tube left" for event in step.events)
         if step.ending is not None and step.command == Twist2():
             break

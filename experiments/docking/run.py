@@ -40,12 +40,10 @@ class Task(NamedTuple):
 
 def driven(task: Task) -> Outcome:
     """Return the outcome of a task."""
-    from experiments.cpu_budgets import count_cpu
     from experiments.docking.cases import SPREADS
     from experiments.docking.methods import METHODS
     from experiments.docking.worlds import WORLDS, case_of
 
-    count_cpu()
     world, spread = WORLDS[task.world], SPREADS[task.spread]
     return METHODS[task.method](case_of(task.number, spread, world, task.seed), world, spread.name, task.rate)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from experiments.docking.outcome import FollowedPlan
+from optdock.deadline import now
 from optdock.executor.planning import InlinePlanning
 
 if TYPE_CHECKING:
@@ -27,11 +27,11 @@ class Cycles:
 
     def timed(self, work: Callable[[], Twist2]) -> Twist2:
         """Return the command computed by `work`, and record its CPU time."""
-        began = time.thread_time()
+        began = now()
         try:
             return work()
         finally:
-            self.spent.append(time.thread_time() - began)
+            self.spent.append(now() - began)
 
     @property
     def busy(self) -> float:
@@ -51,9 +51,9 @@ class WatchedPlanning(InlinePlanning):
 
     def submit(self, job: Job) -> None:
         """Submit a request; its CPU time is not part of the control cycle."""
-        self._job, began = job, time.thread_time()
+        self._job, began = job, now()
         super().submit(job)
-        self.spent.append(time.thread_time() - began)
+        self.spent.append(now() - began)
 
     def poll(self, stamp: float) -> PlanResult | None:
         """See `Planning.poll`."""

@@ -17,13 +17,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.manoeuvres import count_cpu_seconds
+from optdock.deadline import set_clock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from experiments.manoeuvres.cases import Case
     from experiments.manoeuvres.run import Record
+    from optdock.deadline import ClockName
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 STEPS = (0.05, 0.1, 0.25, 0.5, 1.0)  # [s], budgets of the budget experiment
@@ -144,12 +145,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; exit status 1 if the independent check refuted a plan."""
     options = parser().parse_args(arguments)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # numpy reads them only when it is imported
-    if options.cpu_clock:
-        count_cpu_seconds()
+    clock: ClockName = "cpu" if options.cpu_clock else "wall"
+    set_clock(clock)
     from experiments.manoeuvres.run import csv_text, versions
     from optdock.io.atomic_file import write_text
 
-    clock = "cpu" if options.cpu_clock else "wall"
     ran = {**versions(), "seed": str(options.seed), "command": options.command, "clock": clock}
     print(", ".join(f"{name} {value}" for name, value in ran.items()))
     write_text(options.out / "versions.json", json.dumps(ran, indent=1) + "\n")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from experiments.benchmarks.tables import Timer
 from experiments.manoeuvres.check import checked
+from optdock.deadline import clock_name, set_clock
 from optdock.errors import GoalOccupied, OptdockError, StartOccupied
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.planning.plan import PartialPlan
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from experiments.manoeuvres.cases import Case, Truth
+    from optdock.deadline import ClockName
     from optdock.planning.plan import DockPlan
 
 __all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "csv_text", "run_case", "run_cases", "versions"]
@@ -227,17 +229,18 @@ def run_cases(
     targets = [None if figures is None else figures / f"{_file_name(case)}.png" for case in cases]
     tasks = [(case, budget, target) for case, target in zip(cases, targets, strict=True)]
     if jobs == 1:
-        _prepare()
+        warm_up()
         for number, task in enumerate(tasks):
             if number % 20 == 0:
                 gc.collect()
             yield run_case(*task)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_prepare) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_prepare, initargs=(clock_name(),)) as pool:
         yield from pool.map(_run_task, tasks, chunksize=4)
 
 
-def _prepare() -> None:
+def _prepare(clock: ClockName) -> None:
+    set_clock(clock)
     warm_up()
 
 

@@ -21,8 +21,10 @@ __all__ = [
     "RADIANS",
     "SECONDS",
     "BudgetOption",
+    "JobsOption",
     "PlotOption",
     "ScenarioArgument",
+    "SchedulerOption",
     "VerboseOption",
     "check_picture",
     "checked_positive",
@@ -47,6 +49,19 @@ PlotOption: TypeAlias = Annotated[
     typer.Option(
         metavar="PICTURE",
         help="Draw the plan, or the obstacle in the way; the suffix gives the format, such as .png or .svg.",
+        show_default=False,
+    ),
+]
+JobsOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(min=1, help="Number of processes for several tasks; default: one per core.", show_default=False),
+]
+SchedulerOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address of a dask scheduler, such as tcp://10.0.0.1:8786, whose workers are used instead of processes of "
+        "this machine.",
         show_default=False,
     ),
 ]

@@ -13,7 +13,9 @@ from optdock.cli.common import (
     METRES,
     SECONDS,
     BudgetOption,
+    JobsOption,
     PlotOption,
+    SchedulerOption,
     VerboseOption,
     check_picture,
     checked_positive,
@@ -24,6 +26,7 @@ from optdock.cli.common import (
 )
 from optdock.cli.exit_status import ExitStatus, status_of
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.runner import Case, Workers, run_cases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -57,9 +60,13 @@ _USUAL = PlanOutputs()
 
 
 def plan(  # noqa: PLR0913 - one parameter per option
-    scenario: Annotated[Path | None, typer.Argument(help="Scenario file (YAML).", show_default=False)] = None,
+    scenarios: Annotated[
+        list[Path] | None, typer.Argument(help="Scenario file (YAML), or several.", show_default=False)
+    ] = None,
     *,
-    out: Annotated[Path, typer.Option(help="Plan file to write (JSON).")] = Path("plan.json"),
+    out: Annotated[
+        Path, typer.Option(help="Plan file to write (JSON); for several scenarios, folder of the plan files.")
+    ] = Path("plan.json"),
     time_budget: BudgetOption = None,
     spacing: Annotated[
         float, typer.Option(metavar=METRES, help="Largest distance between path samples in the file.")
@@ -91,11 +98,17 @@ def plan(  # noqa: PLR0913 - one parameter per option
     start: Annotated[
         str | None, typer.Option(metavar="X,Y,YAW", help="Start pose, in m, m, rad.", rich_help_panel=_NAV2)
     ] = None,
+    jobs: JobsOption = None,
+    scheduler: SchedulerOption = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Plan one docking and write a certified plan file, or the reason for the failure.
+    """Plan a docking and write a certified plan file, or the reason for the failure.
 
     For example, after `optdock demo`: optdock plan demo/scenario.yaml --out plan.json --plot plan.png
+
+    Several scenarios are planned at the same time, with time budgets in CPU time. Every plan file has the name of its
+    scenario, a table is printed, and the exit status is the highest exit status of all scenarios. For example:
+    optdock plan first.yaml second.yaml --out plans
     """
     with reported(verbose=verbose):
         checked_positive("--spacing", spacing, "m")
@@ -103,9 +116,17 @@ def plan(  # noqa: PLR0913 - one parameter per option
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         check_picture("--profile", profile)
-        spare(scenario, out, csv, plot, profile)
-        found = _loaded(scenario, _Nav2Sources(nav2_params, map_, docks, dock, start))
-        _plan_and_report(found, time_budget, PlanOutputs(out, plot, spacing, period), profile, csv)
+        nav2 = _Nav2Sources(nav2_params, map_, docks, dock, start)
+        outputs = PlanOutputs(out, plot, spacing, period)
+        if scenarios is None or len(scenarios) == 1:
+            scenario = scenarios[0] if scenarios else None
+            spare(scenario, out, csv, plot, profile)
+            _plan_and_report(_loaded(scenario, nav2), time_budget, outputs, profile, csv)
+            return
+        _check_several(outputs, profile, csv, *nav2)
+        ended = _plan_several(scenarios, time_budget, outputs, Workers(jobs, scheduler))
+    if ended:
+        raise typer.Exit(ended)
 
 
 class _Nav2Sources(NamedTuple):
@@ -230,6 +251,61 @@ def draw_profile(target: Path, scenario: Scenario, found: DockPlan) -> None:
     save_profile_picture(target, found.trajectory, problem.robot.limits, problem.dock.approach, title=title)
 
 
+def _check_several(outputs: PlanOutputs, *others: object) -> None:
+    """Raise InvalidValue if options do not suit several scenarios."""
+    if any(option is not None for option in (outputs.picture, *others)):
+        raise InvalidValue("--plot, --profile, --csv and the options of Nav2 need a single scenario")
+    if outputs.file is None or outputs.file.suffix == ".json":
+        raise InvalidValue(f"--out: several scenarios need a folder for their plan files, got {outputs.file}")
+
+
+def _plan_several(sources: list[Path], time_budget: float | None, outputs: PlanOutputs, workers: Workers) -> ExitStatus:
+    """Plan scenarios, write their plan files, print a table, and return the highest exit status."""
+    from optdock.config import load_scenario
+    from optdock.io.atomic_file import write_text
+    from optdock.reports.report import table
+
+    folder = outputs.file or Path()
+    targets = [folder / f"{source.stem}.json" for source in sources]
+    for source in sources:
+        spare(source, *targets)
+    steps = time_budget, outputs.spacing, outputs.period
+    cases = [Case(source.stem, (load_scenario(source), *steps)) for source in sources]
+    rows: list[tuple[str, ...]] = [("scenario", "status", "length m", "duration s", "clearance m", "planning ms")]
+    statuses: list[ExitStatus] = []
+    with workers, working("planning", len(cases)) as advance:
+        for outcome, target in zip(run_cases(_planned, cases, workers=workers, progress=advance), targets, strict=True):
+            status, reason, text, row = outcome.value or (ExitStatus.UNEXPECTED, outcome.error, "", ["error"])
+            if reason:
+                typer.echo(f"{outcome.key}: {reason}", err=True)
+            if text:
+                write_text(target, text)
+            rows.append((outcome.key, *row, *[""] * (5 - len(row))))
+            statuses.append(ExitStatus(status))
+    typer.echo(table(rows))
+    typer.echo(f"plan files are in {folder}")
+    return max(statuses)
+
+
+def _planned(
+    scenario: Scenario, time_budget: float | None, spacing: float, period: float
+) -> tuple[int, str, str, list[str]]:
+    """Plan a scenario in a worker; return its exit status, the reason of a failure, the plan file, and a table row."""
+    from optdock.reports.report import failed_plan_file
+
+    try:
+        found = scenario.plan(time_budget)
+    except OptdockError as error:
+        status = status_of(error)
+        kept = status is not ExitStatus.BAD_INPUT
+        text = failed_plan_file(error, scenario.problem.frame).as_json(spacing=spacing) if kept else ""
+        return int(status), one_line(error), text, [type(error).__name__]
+    clearance, total = found.certificate.min_clearance, found.timing_ms["total"]
+    figures = (found.path.driven, found.trajectory.duration, clearance)
+    row = ["certified", *(f"{value:.3f}" for value in figures), f"{total:.1f}"]
+    return int(ExitStatus.CERTIFIED), "", found.as_file(period).as_json(spacing=spacing), row
+
+
 def compare(
     scenarios: Annotated[
         list[Path], typer.Argument(help="Scenario files (YAML); other files are skipped.", show_default=False)
@@ -260,6 +336,7 @@ def compare(
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
+        from optdock.deadline import budget_clock
         from optdock.io.atomic_file import write_text
         from optdock.plotting.canvas import format_of
         from optdock.plugins.interfaces import Smoother
@@ -273,7 +350,7 @@ def compare(
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
         figures: list[PathFigures] = []
         statuses: list[ExitStatus] = []
-        with working("comparing", len(loaded)) as advance:
+        with budget_clock("cpu"), working("comparing", len(loaded)) as advance:
             for number, scenario in enumerate(loaded, start=1):
                 rows, status = _compared(scenario, names, out / f"{number:02d}_{scenario.source.stem}.png")
                 figures.extend(rows)

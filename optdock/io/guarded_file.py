@@ -34,6 +34,7 @@ class MostBytes(IntEnum):
     JSON = 32_000_000  # a plan of 50,000 samples has 22 MB, see `plan_file.MAX_SAMPLES`
     CSV = 200_000  # the largest case of the competition has 10 kB
     LOG = 64_000_000  # a docking of a minute has 1 MB, with a costmap in every cycle 10
+    OUTCOMES = 2_000_000_000  # a hundred thousand outcomes of 1 kB have 100 MB
     IMAGE = 80_000_000  # a map of `map_image.MAX_PIXELS` as raw grey values of 16 bit has 67 MB
     RECORDING = 1_000_000_000_000  # only the index and the requested topics of a bag are read
 

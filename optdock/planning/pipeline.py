@@ -12,14 +12,13 @@ import contextlib
 import functools
 import logging
 import math
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from optdock.deadline import Deadline, garbage_collection_paused
+from optdock.deadline import Deadline, clock_name, garbage_collection_paused, now
 from optdock.errors import (
     Cancelled,
     InvalidValue,
@@ -185,11 +184,11 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     given = _paths(guesses, problem.frame)
     if not callable(cancel_checker):
         raise InvalidValue(f"cancel_checker: must be a function that returns whether to stop, got {cancel_checker!r}")
-    so_far, began = PartialPlan(), time.monotonic()
+    so_far, began = PartialPlan(), now()
     try:
         planners, smoothing, parameterizing = _chosen(planner, smoother, timing)
         _warm_once(tuple(map(type, planners)), type(smoothing), type(parameterizing))
-        began = time.monotonic()
+        began = now()
         deadline = Deadline(time_budget - _margin(time_budget))
         limits = Cancellation(cancel_checker), time_budget, deadline
         work = Refinement(problem, smoothing, parameterizing, warm_start, *limits, so_far.timing_ms)
@@ -201,7 +200,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
         return plan
     except OptdockError as error:
-        so_far.timing_ms["total"] = 1e3 * (time.monotonic() - began)
+        so_far.timing_ms["total"] = 1e3 * (now() - began)
         error.partial = so_far
         logger.info("no plan after %.1f ms: %s", so_far.timing_ms["total"], error)
         raise
@@ -285,7 +284,12 @@ _MARGIN_SHARE, _MARGIN_MOST = 0.3, 0.006  # of the budget; [s]: longer suspensio
 
 
 def _margin(budget: float) -> float:
-    """Return the time [s] by which a call stops before the end of the budget: the second longest suspension so far."""
+    """Return the time [s] by which a call stops before the end of the budget: the second longest suspension so far.
+
+    It is 0 on clocks that do not measure real time, so that a call does not depend on earlier calls.
+    """
+    if clock_name() != "wall":
+        return 0.0
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 

@@ -9,12 +9,12 @@ import contextlib
 import itertools
 import logging
 import math
-import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from optdock.deadline import Stopwatch
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -214,12 +214,12 @@ class Refinement:
     @contextlib.contextmanager
     def timed(self, stage: str) -> Iterator[None]:
         """Add the duration of the block to the time of `stage`."""
-        began, worked = self.deadline.elapsed, time.thread_time()
+        watch = Stopwatch(self.deadline)
         try:
             yield
         finally:
-            took = self.deadline.elapsed - began
-            self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
+            took, worked = watch.read()
+            self.longest_wait = max(self.longest_wait, took - worked)
             self.timing_ms[stage] = self.timing_ms.get(stage, 0.0) + 1e3 * took
 
     def is_late(self) -> bool:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import time
 from abc import ABC
 from dataclasses import dataclass, field
 from enum import Enum
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from optdock.deadline import now
 from optdock.errors import InvalidValue, LifecycleError
 from optdock.geometry.checked import instance
 from optdock.geometry.footprint import Footprint
@@ -55,7 +55,7 @@ class PluginContext:
         costmap: Global costmap, or None.
         footprint: Robot outline, or None.
         problem: Docking problem, or None.
-        clock: Function that returns a monotonic time [s].
+        clock: Function that returns a monotonic time [s]; by default `optdock.deadline.now`.
         logger: Logger of the plugin.
         local_costmap: Costmap around the robot, which is read in every call and is not part of the problem; or None. If
             there is neither a problem nor a global costmap, this costmap also replaces the global costmap.
@@ -68,7 +68,7 @@ class PluginContext:
     costmap: Costmap | None = None
     footprint: Footprint | None = None
     problem: DockingProblem | None = None
-    clock: Callable[[], float] = time.monotonic
+    clock: Callable[[], float] = now
     logger: logging.Logger = field(default_factory=lambda: logging.getLogger("optdock"))
     local_costmap: Costmap | None = None
 

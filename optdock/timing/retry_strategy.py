@@ -21,14 +21,13 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from abc import abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from optdock.deadline import ENDLESS, Deadline, OutOfTime
+from optdock.deadline import ENDLESS, Deadline, OutOfTime, Stopwatch
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import LIMITS
@@ -201,10 +200,9 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
         return TimingResult(TimingStatus.FAIL, None, math.inf, reason=fault)
     if whole.passed():
         return TimingResult(TimingStatus.TIMED_OUT, None, reason=f"no time: max_time is {whole.seconds:.3g} s")
-    began = whole.elapsed, time.thread_time()
+    watch = Stopwatch(whole)
     segments = limits_along(path, drive, zone)
-    # The smaller time of two clocks is used: one includes the time of other processes, the other may be coarse.
-    deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
+    deadlines = Deadlines.of(whole, watch.read()[1])
     waiting: list[Iterator[SegmentPlan]] = []
     plans: list[SegmentPlan] = []
     state = MotionState(0.0, start.speed, start.acceleration)

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from experiments.cpu_budgets import count_cpu
+from optdock.deadline import budget_clock
 from tests.docs.snippets import PAGES, ROOT, blocks_of, run_page
 
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
@@ -20,9 +20,8 @@ RUN = [page for page in PAGES if any(block.language in {"python", "sh"} for bloc
 @pytest.fixture(autouse=True)
 def slow_clock():
     """The printed figures are those of a quiet machine; a busy one takes up to three times the CPU time."""
-    count_cpu(rate=0.25)
-    yield
-    count_cpu()
+    with budget_clock("cpu", rate=0.25):
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""The deadline, and collection of garbage within it."""
+"""The deadline, its exchangeable clock, and collection of garbage within it."""
 
 import gc
 import math
@@ -7,18 +7,32 @@ import time
 import numpy as np
 import pytest
 
-from optdock.deadline import Deadline, OutOfTime, garbage_collection_paused
-from optdock.errors import PlannerTimedOut
+from experiments import families
+from optdock.deadline import (
+    TICK,
+    Deadline,
+    OutOfTime,
+    Stopwatch,
+    budget_clock,
+    clock_name,
+    garbage_collection_paused,
+    now,
+    set_clock,
+)
+from optdock.errors import OptdockError, PlannerTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.impossibility import footprint_discs
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.planning.pipeline import plan_dock
+from optdock.planning import pipeline
+from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.plugins.interfaces import GlobalPlanner
 from optdock.plugins.lifecycle import PluginContext
+from smoothers.scp.qp_step import pool_of_this_thread
 
 PROBLEM = DockingProblem(
     Pose2(0.0, 0.0, 0.3),
@@ -47,6 +61,88 @@ def test_budgets_of_these_tests_count_cpu_time():
     while not deadline.passed():
         math.sqrt(2.0)
     assert context.clock() - began >= 0.04
+
+
+def test_the_clock_is_exchanged_within_a_context_only():
+    assert clock_name() == "cpu"  # of these tests
+    with budget_clock("wall"):
+        deadline, context = Deadline(0.02), PluginContext()
+        assert deadline.is_wall
+        time.sleep(0.03)
+        assert deadline.passed()
+        with budget_clock("counted"):
+            assert [now(), now(), context.clock()] == [0.0, TICK, 2.0 * TICK]
+            assert not Deadline(clock=context.clock).is_wall
+        assert clock_name() == "wall"
+        assert deadline.elapsed >= 0.03  # on the clock of its construction
+    with pytest.raises(ZeroDivisionError), budget_clock("wall"):
+        raise ZeroDivisionError
+    assert clock_name() == "cpu"
+
+
+def test_a_rate_slows_every_clock():
+    with budget_clock("counted", rate=0.5):
+        assert [now(), now()] == [0.0, 0.5 * TICK]
+    with budget_clock("cpu", rate=0.25):
+        began, slow = time.process_time(), now()
+        while time.process_time() - began < 0.04:
+            math.sqrt(2.0)
+        assert now() - slow == pytest.approx(0.25 * (time.process_time() - began), abs=2e-3)
+
+
+@pytest.mark.parametrize(("name", "rate"), [("sundial", 1.0), ("cpu", 0.0), ("cpu", math.nan)])
+def test_unknown_clocks_and_rates_are_rejected(name, rate):
+    with pytest.raises(ValueError, match="wall, cpu, counted with a rate > 0"):
+        set_clock(name, rate)
+
+
+def test_a_counted_deadline_passes_after_a_number_of_readings():
+    with budget_clock("counted"):
+        deadline = Deadline(10.0 * TICK)
+        assert [deadline.passed() for _ in range(12)] == [False] * 9 + [True] * 3
+
+
+@pytest.mark.parametrize(("clock", "waits"), [("wall", True), ("cpu", False), ("counted", False)])
+def test_only_a_wall_clock_knows_suspensions(clock, waits, monkeypatch):
+    """The margin for suspensions of earlier calls and the share of work of a stage."""
+    monkeypatch.setattr(pipeline, "_WAITS", [0.005, 0.005])
+    with budget_clock(clock):
+        watch = Stopwatch(Deadline())
+        time.sleep(0.01)
+        took, worked = watch.read()
+        assert (pipeline._margin(1.0) > 0.0) is waits
+        assert (took - worked > 0.0) is waits
+        assert took >= 0.01 or not waits
+
+
+TWELVE = [(family, seed) for family in ("clutter", "car_bay", "reverse_cusp", "gap_blocked") for seed in range(3)]
+
+
+def counted_results(cases):
+    """Return the bits of every plan within a budget that some of the cases exceed, or the error."""
+    found = {}
+    for family, seed in cases:
+        problem = families.instance(family, seed).problem
+        with budget_clock("counted"):
+            try:
+                plan = plan_dock(problem, time_budget=0.03)
+            except OptdockError as error:
+                found[family, seed] = (str(error), dict(error.partial.timing_ms))
+                continue
+        tried = [(one.stage, one.seconds, one.price, one.reason) for one in plan.tried]
+        found[family, seed] = (plan.path.digest, plan.trajectory.time_law.states.tobytes(), plan.timing_ms, tried)
+    return found
+
+
+def test_counted_plans_do_not_depend_on_earlier_calls(monkeypatch):
+    """Bit for bit: not on their order, caches, the measured speed of the machine, or suspensions."""
+    warm_up()
+    footprint_discs._bodies.cache_clear()
+    forward = counted_results(TWELVE)
+    assert len({len(one) for one in forward.values()}) == 2  # plans and errors
+    monkeypatch.setattr(pool_of_this_thread(), "pace", 3.0)
+    monkeypatch.setattr(pipeline, "_WAITS", [0.005, 0.005])
+    assert counted_results(reversed(TWELVE)) == forward
 
 
 def test_no_collection_of_garbage_starts_within():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.dense_check import dense_check
-from optdock.deadline import Deadline
+from optdock.deadline import Deadline, budget_clock
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -468,7 +468,7 @@ def test_call_stops_earlier_after_two_suspended_calls(clock, monkeypatch, waits,
     monkeypatch.setattr("optdock.planning.pipeline._WAITS", collections.deque(waits, maxlen=9))
     budget, step = 0.1, 1e-4
     planner = Insatiable(clock, step)
-    with pytest.raises(TimedOut):
+    with budget_clock("wall"), pytest.raises(TimedOut):
         plan_dock(problem(), time_budget=budget, planner=planner)
     assert planner.stopped_at == pytest.approx(budget - margin, abs=1.5 * step)
 

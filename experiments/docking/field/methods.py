@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -14,6 +13,7 @@ from experiments.docking.field.nav2 import by_nav2
 from experiments.docking.field.outcome import SteeringResult
 from experiments.docking.outcome import ACCEPTED
 from experiments.docking.watched import Cycles, WatchedPlanning
+from optdock.deadline import now
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.pose import Twist2
 
@@ -105,13 +105,13 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
     commands: list[tuple[float, float]] = []
     raised: Exception | None = None
     while robot.time < TIMEOUT:
-        planned_before, began = sum(planning.spent), time.thread_time()
+        planned_before, began = sum(planning.spent), now()
         try:
             step = executor.step(robot.measurements)
         except Exception as error:  # any exception is a result: the run has failed
             raised = error
             break
-        cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
+        cycles.spent.append(now() - began - sum(planning.spent) + planned_before)
         belief.compare(executor, robot)
         stamps.append(robot.time)
         commands.append((step.command.linear, step.command.angular))

@@ -48,11 +48,9 @@ def set_up(task: FieldTask) -> tuple[Layout, FieldRobot]:
 
 def driven_in_field(task: FieldTask) -> FieldOutcome:
     """Return the outcome of a task."""
-    from experiments.cpu_budgets import count_cpu
     from experiments.docking.field.methods import FIELD_METHODS
     from experiments.docking.field.outcome import field_outcome
 
-    count_cpu()
     layout, robot = set_up(task)
     steered = FIELD_METHODS[task.method][0](layout, robot, task.rate)
     return field_outcome(task, layout, robot, steered)

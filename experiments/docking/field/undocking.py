@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from experiments.cpu_budgets import count_cpu
 from experiments.docking.field.methods import by_executor
 from experiments.docking.field.outcome import FieldTask, clearances
 from experiments.docking.field.run import set_up
@@ -67,7 +66,6 @@ class Undocking(NamedTuple):
 
 def undocked_in_field(task: FieldTask) -> Undocking:
     """Undock a docked robot whose pose has the errors of a finished docking."""
-    count_cpu()
     layout, robot = _docked(task)
     by = by_executor(layout, robot, task.rate, task="undock")
     over, limit = worst_ratio(by.commands, np.diff(by.stamps), layout.problem.robot.limits)
