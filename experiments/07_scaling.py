@@ -2,8 +2,9 @@
 
 Three sweeps in halls with pillars at the crossings of a grid of 4 m, displaced at random: the distance from start to
 dock (1 to 100 m, 300 pillars), the number of polygons (1 to 2,000, 15 m), and the cells of a map of 5 cm per cell (250
-x 250 to 8,000 x 8,000, 8 m, one pillar per 16 m^2). With a map, the first call also converts the cells to obstacles;
-later calls on the same map do not. The exponent of a power law is fitted to the upper half of each sweep.
+x 250 to 8,000 x 8,000, 8 m, one pillar per 16 m^2). With a map, the first call includes the constructor of the problem,
+which converts the cells to obstacles; later calls on the same map do not. The exponent of a power law is fitted to the
+upper half of each sweep.
 
     python experiments/07_scaling.py [--scale S] [--jobs N]
 """
@@ -84,18 +85,20 @@ def work(task: Task) -> Iterator[Row]:
     task = Task(*task)
     rng = np.random.default_rng((task.number, len(task.sweep)))  # the same scene at every size
     if task.sweep == "cells":
-        problem = on_map(task.size, rng)
-        yield measured(task._replace(sweep="first call"), problem)
-        yield measured(task, problem.starting_at(problem.start @ Pose2(0.01, 0.0, 0.0)))
+        scene, start, goal = on_map(task.size, rng)
+        began = time.process_time()
+        problem = DockingProblem(start, dock_at(goal), ROBOT, clearance=RULE, costmap=scene)
+        yield measured(task._replace(sweep="first call"), problem, began)
+        yield measured(task, problem.starting_at(start @ Pose2(0.01, 0.0, 0.0)))
     elif task.sweep == "distance":
         yield measured(task, in_hall(float(task.size), 300, rng))
     else:
         yield measured(task, in_hall(15.0, task.size, rng))
 
 
-def measured(task: Task, problem: DockingProblem) -> Row:
-    """Return the CPU time of a call."""
-    began = time.process_time()
+def measured(task: Task, problem: DockingProblem, began: float | None = None) -> Row:
+    """Return the CPU time of a call, since `began` [s] if it is given."""
+    began = time.process_time() if began is None else began
     try:
         plan_dock(problem, time_budget=BUDGET)
         is_certified = True
@@ -130,15 +133,15 @@ def in_hall(distance: float, count: int, rng: np.random.Generator) -> DockingPro
     return DockingProblem(start, dock_at(goal), ROBOT, pillars(count, around, rng), RULE)
 
 
-def on_map(edge: int, rng: np.random.Generator) -> DockingProblem:
-    """Return a problem on a map of `edge` x `edge` cells with axis-parallel pillars."""
+def on_map(edge: int, rng: np.random.Generator) -> tuple[Costmap, Pose2, Pose2]:
+    """Return a map of `edge` x `edge` cells with axis-parallel pillars, a start and a dock."""
     start, goal = ends(8.0, rng)
     half, around = 0.5 * edge * CELL, (start, goal, goal @ Pose2(-1.5, 0.0, 0.0))
     cells = np.zeros((edge, edge), dtype=np.uint8)
     for corners in pillars(max(4, int((2.0 * half / PITCH) ** 2)), around, rng):
         low, high = np.floor((np.array([corners.min(axis=0), corners.max(axis=0)]) + half) / CELL).astype(int)
         cells[max(low[1], 0) : max(high[1], 0), max(low[0], 0) : max(high[0], 0)] = 254
-    return DockingProblem(start, dock_at(goal), ROBOT, clearance=RULE, costmap=Costmap(cells, CELL, (-half, -half)))
+    return Costmap(cells, CELL, (-half, -half)), start, goal
 
 
 def fitted(rows: Sequence[Row], sweep: str) -> Exponent | None:

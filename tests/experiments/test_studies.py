@@ -199,4 +199,4 @@ def test_sizes_of_a_scaling_scene_are_those_asked_for():
     problem = module.in_hall(10.0, 30, rng)
     assert len(problem.obstacles) == 30
     assert math.hypot(problem.start.x - problem.goal.x, problem.start.y - problem.goal.y) == pytest.approx(10.0)
-    assert module.on_map(250, rng).costmap.data.shape == (250, 250)
+    assert module.on_map(250, rng)[0].data.shape == (250, 250)

@@ -1,5 +1,6 @@
 import csv
 import dataclasses
+import itertools
 import json
 import logging
 import pathlib
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from optdock.cli import app
 from optdock.config import demo_scenario, load_scenario
+from optdock.deadline import budget_clock
 from optdock.errors import NoMotionExists
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
@@ -734,6 +736,16 @@ def test_compare_measures_smoothers_whether_they_are_certified_or_not(tmp_path):
     unknown = run("compare", "bay.yaml", "--smoother", "SimpelSmoother")
     assert unknown.exit_code == 2
     assert "SimpleSmoother" in unknown.stderr
+
+
+def test_compare_counts_cpu_time_so_that_load_changes_nothing(monkeypatch):
+    """The wall clock is advanced by an hour at each reading."""
+    write(name="bay.yaml")
+    hours = itertools.count(step=3600.0)
+    with budget_clock("wall"):
+        monkeypatch.setattr("optdock.deadline._Process.clock.read", lambda: next(hours))
+        assert run("plan", "bay.yaml").exit_code == 5
+        assert run("compare", "bay.yaml", "--smoother", "CasadiSmoother", "--out", "cmp").exit_code == 0
 
 
 def test_compare_skips_what_is_no_scenario_and_says_so(tmp_path):
