@@ -46,7 +46,7 @@ class Row(NamedTuple):
 
 def tasks(scale: float) -> list[DockCase]:
     """Return the cases."""
-    return dock_cases(scale, 12)
+    return dock_cases(scale, 4)
 
 
 def work(task: DockCase) -> Iterator[Row]:

@@ -95,7 +95,7 @@ class Row(NamedTuple):
 def tasks(scale: float) -> list[Task]:
     """Return every case with every source."""
     sources = [name for name in SOURCES if name != "OMPL" or has_ompl()]
-    return [Task(*case, source) for case in dock_cases(scale, 4) for source in sources]
+    return [Task(*case, source) for case in dock_cases(scale, 2) for source in sources]
 
 
 def work(task: Task) -> Iterator[Row]:
