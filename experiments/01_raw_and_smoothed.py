@@ -140,20 +140,15 @@ def chosen(rows: Sequence[Row], smoother: str, source: str = "") -> list[Row]:
 def report(rows: Sequence[Row]) -> Report:
     """Return the tables per smoother."""
     sources = list(dict.fromkeys(row.source for row in rows))
-    lines = [("smoother", "source", "certified", "refused", *(f"breaks {rule.replace('_', ' ')}" for rule in RULES))]
+    lines = [("smoother", "certified", "refused", *(f"breaks {rule.replace('_', ' ')}" for rule in RULES))]
+    by_source = [("smoother", *(f"certified, {source}" for source in sources))]
     for name in (RAW, *SMOOTHERS, OPTIMUM):
-        for source in ("", *sources):
-            group = chosen(rows, name, source)
-            if group:
-                paths = [row for row in group if row.length is not None]
-                shares = [sum(rule in row.broken.split() for row in paths) for rule in RULES]
-                counts = (
-                    share_text(sum(row.status == "certified" for row in group), len(group)),
-                    str(len(group) - len(paths)),
-                )
-                lines.append(
-                    (name, source or "all", *counts, *(f"{100.0 * n / max(1, len(paths)):.0f} %" for n in shares))
-                )
+        group = chosen(rows, name)
+        paths = [row for row in group if row.length is not None]
+        broken = [sum(rule in row.broken.split() for row in paths) for rule in RULES]
+        shares = (share_text(count, len(paths)) for count in broken)
+        lines.append((name, certified_text(group), str(len(group) - len(paths)), *shares))
+        by_source.append((name, *(certified_text(chosen(rows, name, source)) for source in sources)))
     costs = [("smoother", "CPU ms, median", "length / raw, median", "duration s, median")]
     raw = {row[:3]: row for row in rows if row.smoother == RAW}
     for name in (*SMOOTHERS, OPTIMUM):
@@ -164,14 +159,19 @@ def report(rows: Sequence[Row]) -> Report:
     without = sum(row.status == "no path" for row in rows)
     gap = gaps(rows)
     ours, nav2 = chosen(rows, OURS), [row for name in SMOOTHERS[:2] for row in chosen(rows, name)]
-    certified = [sum(row.status == "certified" for row in group) for group in (ours, nav2)]
     closing = (
-        f"CasadiSmoother makes certified paths of {share_text(certified[0], len(ours))} raw paths and Nav2's "
-        f"smoothers of {share_text(certified[1], len(nav2))}; its paths cost {interval(gap)} % more than "
+        f"CasadiSmoother makes certified paths of {certified_text(ours)} raw paths and Nav2's "
+        f"smoothers of {certified_text(nav2)}; its paths cost {interval(gap)} % more than "
         f"ipopt's optimum ({max(gap, default=0.0):.2g} % at most)."
     )
     notes = f"{maps_text()} {without} raw paths were not found." + ("" if has_ompl() else f"\n{NEEDS_OMPL}.")
-    return Report(f"{notes}\n\n{table(lines)}\n\n{table(costs)}", closing)
+    tables = "\n\n".join(map(table, (lines, by_source, costs)))
+    return Report(f"{notes}\n\n{tables}", closing)
+
+
+def certified_text(rows: Sequence[Row]) -> str:
+    """Return the share of certified paths."""
+    return share_text(sum(row.status == "certified" for row in rows), len(rows))
 
 
 def interval(values: Sequence[float]) -> str:

@@ -160,13 +160,14 @@ def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def report(rows: Sequence[Row]) -> Report:
     """Return the shares per smoother and per source; sound if no certified path breaks a rule."""
     found = groups(rows)
-    head = ("smoother", "source", "successes", "bad", *(name.replace("_", " ") for name in FAULTS), "certified")
-    lines = [head]
+    sources = list(dict.fromkeys(row.source for row in rows))
+    lines = [("smoother", "successes", "bad", *(name.replace("_", " ") for name in FAULTS), "certified")]
+    by_source = [("smoother", *(f"bad, {source}" for source in sources))]
     for name, group in found.items():
-        for source in ("all", *dict.fromkeys(row.source for row in rows)):
-            chosen = [row for row in group if source in ("all", row.source)]
-            counts = [sum(getattr(row, fault) for row in chosen) for fault in ("is_bad", *FAULTS, "certified")]
-            lines.append((name, source, str(len(chosen)), *(share_text(count, len(chosen)) for count in counts)))
+        counts = [sum(getattr(row, fault) for row in group) for fault in ("is_bad", *FAULTS, "certified")]
+        lines.append((name, str(len(group)), *(share_text(count, len(group)) for count in counts)))
+        of_source = [[row.is_bad for row in group if row.source == source] for source in sources]
+        by_source.append((name, *(share_text(sum(bad), len(bad)) for bad in of_source)))
     worst = [
         (name, fault, max(group, key=lambda row: getattr(row, FAULTS[fault]), default=None))
         for name, group in found.items()
@@ -187,7 +188,8 @@ def report(rows: Sequence[Row]) -> Report:
         f"{sum(row.certified for row in rows)} certified paths, {lies} break a rule."
     )
     notes = maps_text() if has_ompl() else f"{maps_text()}\n{NEEDS_OMPL}."
-    return Report(f"{notes}\n\n{table(lines)}\n\n{table(where)}", closing, is_sound=lies == 0)
+    tables = "\n\n".join(map(table, (lines, by_source, where)))
+    return Report(f"{notes}\n\n{tables}", closing, is_sound=lies == 0)
 
 
 def draw(figure: Figure, rows: Sequence[Row]) -> None:
