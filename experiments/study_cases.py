@@ -1,4 +1,4 @@
-"""Docking problems of the studies: docks on the maps of this project, and on Nav2's maps if they are present.
+"""Docking problems of the studies: docks on the maps of this project, on Nav2's maps if present, and the examples' bay.
 
 Every dock has the start of its scenario (number 0) and random free starts at a distance of 1 to 6 m.
 """
@@ -6,16 +6,21 @@ Every dock has the start of its scenario (number 0) and random free starts at a 
 from __future__ import annotations
 
 import zlib
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from experiments.manoeuvres.cases import free_starts
 from experiments.real_maps import DRAWN_SCENARIOS, HINT, SCENARIOS, maps_folder, problem_of
+from optdock.config import load_scenario
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import DockingProblem
 
-__all__ = ["DockCase", "dock_cases", "maps_text", "problem_for"]
+BAY = "bay of the examples"
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "data"
+
+__all__ = ["BAY", "EXAMPLES", "DockCase", "dock_cases", "maps_text", "problem_for"]
 
 
 class DockCase(NamedTuple):
@@ -27,7 +32,7 @@ class DockCase(NamedTuple):
 
 def _scenarios() -> tuple[str, ...]:
     has_nav2 = all((maps_folder() / name).is_file() for name in ("depot.yaml", "warehouse.yaml"))
-    return tuple(one.name for one in (*DRAWN_SCENARIOS, *(SCENARIOS if has_nav2 else ())))
+    return (BAY, *(one.name for one in (*DRAWN_SCENARIOS, *(SCENARIOS if has_nav2 else ()))))
 
 
 def dock_cases(scale: float, per_dock: int) -> list[DockCase]:
@@ -39,8 +44,10 @@ def dock_cases(scale: float, per_dock: int) -> list[DockCase]:
 
 def problem_for(case: DockCase) -> DockingProblem:
     """Return the problem of a case."""
-    scenario = next(one for one in (*DRAWN_SCENARIOS, *SCENARIOS) if one.name == case.scenario)
-    problem = problem_of(scenario)
+    if case.scenario == BAY:
+        problem = load_scenario(EXAMPLES / "bay.yaml").problem
+    else:
+        problem = problem_of(next(one for one in (*DRAWN_SCENARIOS, *SCENARIOS) if one.name == case.scenario))
     if case.number == 0:
         return problem
     rng = np.random.default_rng((zlib.crc32(case.scenario.encode()), case.number))
@@ -50,6 +57,6 @@ def problem_for(case: DockCase) -> DockingProblem:
 def maps_text() -> str:
     """Return the sentence about the maps that were used."""
     count = len(_scenarios())
-    if count > len(DRAWN_SCENARIOS):
-        return f"{count} docks on the three maps of this project and on Nav2's depot and warehouse."
-    return f"{count} docks on the three maps of this project only. Nav2's maps are missing: {HINT}."
+    if count > len(DRAWN_SCENARIOS) + 1:
+        return f"{count} docks on the maps of this project and on Nav2's depot and warehouse."
+    return f"{count} docks on the maps of this project only. Nav2's maps are missing: {HINT}."

@@ -15,7 +15,7 @@ from scipy.stats import binom, binomtest
 
 from experiments import raw_paths
 from experiments.raw_paths import SOURCES, ompl_path
-from experiments.study_cases import DockCase, dock_cases, problem_for
+from experiments.study_cases import BAY, EXAMPLES, DockCase, dock_cases, problem_for
 from experiments.study_run import median_interval, power_law, run, share_interval
 from optdock.errors import MissingExtra
 from optdock.geometry.obstacles import ObstacleSet
@@ -93,6 +93,13 @@ def test_raw_path_leads_from_the_start_to_the_dock(name):
     assert all(isinstance(segment, PolylineSegment) for segment in path.segments)
 
 
+def test_waypoints_of_the_example_are_those_of_its_file():
+    path = SOURCES["waypoints"](problem_for(DockCase(BAY, 0)), 0)
+    written = np.loadtxt(EXAMPLES / "waypoints.csv", delimiter=",", skiprows=1)
+    (segment,) = path.segments
+    assert np.asarray(segment.poses) == pytest.approx(written)
+
+
 def test_ompl_path_is_driven_with_the_smallest_turning_radius_among_the_obstacles():
     pytest.importorskip("ompl", reason="needs ompl")
     problem, check = problem_for(CASE), study("08")
@@ -111,7 +118,7 @@ def test_missing_ompl_is_named(monkeypatch):
 
 def test_cases_have_own_starts_and_are_the_same_in_every_call():
     cases = dock_cases(1.0, 3)
-    assert len(set(cases)) == len(cases) == 48
+    assert len(set(cases)) == len(cases) == 51
     first, again, other = (problem_for(DockCase(CASE.scenario, number)).start for number in (1, 1, 2))
     assert first == again != other
 
