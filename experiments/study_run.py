@@ -3,7 +3,7 @@
 A study is a module with a docstring (its legend), a named tuple `Row`, and four functions: `tasks(scale)`,
 `work(task)`, which yields rows, `report(rows)`, and `draw(figure, rows)`. Tasks and rows consist of plain values.
 Time budgets use the counted clock, with which the rows do not depend on the machine, or the CPU clock in studies with
-`CLOCK = "cpu"`, which are about CPU time. Neither depends on the load of the machine. Intervals are of 95 %.
+`CLOCK = "cpu"`, which are about CPU time. Neither depends on the load of the machine.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ __all__ = [
     "worked",
 ]
 
+INTERVALS = "Intervals in parentheses are of 95 % and treat the rows as independent."
 _SIGMAS = 1.959964  # of a normal distribution, two-sided 95 %
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -81,7 +82,7 @@ def run(script: str, arguments: Sequence[str] | None = None) -> int:
     )
     rows = _rows_of(study, list(study.tasks(options.scale)), workers)
     report = study.report(rows)
-    text = f"{study.__doc__.strip()}\n\n{report.tables}\n\n{report.closing}\n"
+    text = f"{study.__doc__.strip()}\n\n{INTERVALS}\n\n{report.tables}\n\n{report.closing}\n"
     options.out.mkdir(parents=True, exist_ok=True)
     _write_rows(options.out / "rows.csv", rows)
     write_text(options.out / "study.md", text)
