@@ -182,10 +182,10 @@ def report(rows: Sequence[Row]) -> Report:
     lies = sum(row.certified and row.is_bad for row in rows)
     nav2 = [row for name in SMOOTHERS if name != OURS for row in found[name]]
     bad, hits = sum(row.is_bad for row in nav2), sum(row.collides for row in nav2)
+    certified = sum(row.certified for row in rows)
     closing = (
-        f"Of {len(nav2)} results that Nav2's smoothers report as successful, {share_text(bad, len(nav2))} cannot be "
-        f"driven as they are and {share_text(hits, len(nav2))} collide; of "
-        f"{sum(row.certified for row in rows)} certified paths, {lies} break a rule."
+        f"Of {len(nav2)} results that Nav2's smoothers report as successful, {share_text(bad, len(nav2))} break one of "
+        f"the three rules and {share_text(hits, len(nav2))} collide; of {certified} certified paths, {lies} break one."
     )
     notes = maps_text() if has_ompl() else f"{maps_text()}\n{NEEDS_OMPL}."
     tables = "\n\n".join(map(table, (lines, by_source, where)))

@@ -25,7 +25,7 @@ from optdock.model.path import Path, PolylineSegment
 FOLDER = FilePath(__file__).resolve().parents[2] / "experiments"
 STUDIES = sorted(script.stem for script in FOLDER.glob("[0-9]*.py"))
 CASE = DockCase("storage bay between pallets", 0)
-TASKS = {"01_raw_and_smoothed": 1, "06_parking": -1}  # position of a quick task that uses every part
+TASKS = {"01_raw_and_smoothed": 1, "06_parking": -1, "09_surveys": 8}  # position of a quick task that uses every part
 
 
 def study(number):
@@ -42,6 +42,8 @@ def as_before(monkeypatch, tmp_path):
 @pytest.mark.parametrize("stem", STUDIES)
 def test_study_runs_and_writes_its_rows_text_and_chart(stem, tmp_path, monkeypatch, capsys):
     module = importlib.import_module(f"experiments.{stem}")
+    if stem == "09_surveys":
+        pytest.importorskip("optdock.cli.survey", reason="needs optdock survey")
     task = list(module.tasks(0.02))[TASKS.get(stem, 0)]
     monkeypatch.setattr(module, "tasks", lambda _: [task])
     if stem == "05_contact_forces":
@@ -198,6 +200,13 @@ def test_refuted_plan_is_reported():
     row = module.Row("slots", "parallel 1.2", "a", "certified", cusps=3, duration=10.0, first=100.0, cpu=200.0)
     assert module.report([row]).is_sound
     assert not module.report([row, row._replace(is_refuted=True)]).is_sound
+
+
+def test_shares_of_surveys_add_up():
+    module = study("09")
+    row = module.Row("hall", 10, 7, 2, 1, 0.9, 5.0, 8.0, 4, 1.0)
+    assert module.totals([row, row]) == (14, 4, 2)
+    assert "Of 20 free start poses within 3 m of 2 docks, 70.0 %" in module.report([row, row]).closing
 
 
 def test_sizes_of_a_scaling_scene_are_those_asked_for():
