@@ -161,7 +161,7 @@ def report(rows: Sequence[Row]) -> Report:
     """Return the shares per smoother and per source; sound if no certified path breaks a rule."""
     found = groups(rows)
     sources = list(dict.fromkeys(row.source for row in rows))
-    lines = [("smoother", "successes", "bad", *(name.replace("_", " ") for name in FAULTS), "certified")]
+    lines = [("smoother", "successes", "bad", "collides", "too close", "too sharp", "certified")]
     by_source = [("smoother", *(f"bad, {source}" for source in sources))]
     for name, group in found.items():
         counts = [sum(getattr(row, fault) for row in group) for fault in ("is_bad", *FAULTS, "certified")]

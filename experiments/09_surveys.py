@@ -91,8 +91,8 @@ def report(rows: Sequence[Row]) -> Report:
     asked = sum(row.asked for row in rows)
     closing = (
         f"Of {free:,} free start poses within {WITHIN:g} m of {len(rows)} docks, {percent(certified, free)} % have a "
-        f"certified motion, {percent(impossible, free)} % are proven impossible and {percent(lost, free)} % have neither; "
-        f"{asked:,} poses were asked, and the others are answered by their motions."
+        f"certified motion, {percent(impossible, free)} % are proven impossible and {percent(lost, free)} % have "
+        f"neither; {asked:,} poses were asked, and the others are answered by their motions."
     )
     return Report(table(lines), closing)
 

@@ -89,8 +89,8 @@ def draw_budgets(axes: Axes, rows: list[dict[str, str]]) -> None:
     axes.plot(budgets, middle, "o-", color=COLOURS["path"], markersize=4)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("time budget [ms of CPU time]")
-    axes.set_ylabel("certified [%], 95 % interval")
+    axes.set_xlabel("time budget [ms of CPU time], with 95 % intervals")
+    axes.set_ylabel("certified [%]")
     axes.set_ylim(0.0, 102.0)
     axes.grid(alpha=0.25)
 
@@ -105,10 +105,10 @@ def draw_successes(axes: Axes, rows: list[dict[str, str]]) -> None:
             axes.plot([low, high], [at, at], color=COLOURS[colour], linewidth=1.2)
             axes.plot([middle], [at], "o", color=COLOURS[colour], markersize=4, label=fault if y == 0 else None)
     axes.set_yticks(range(len(rows)), [row["smoother"] for row in reversed(rows)])
-    axes.set_xlim(0.0, None)
+    axes.set_xlim(-0.5, None)
     axes.set_xlabel("share of the reported successes [%], 95 % interval")
     axes.grid(axis="x", alpha=0.25)
-    axes.legend(fontsize=7.5, loc="lower right", frameon=False)
+    axes.legend(fontsize=7.5, loc="lower center", frameon=False)
 
 
 CHARTS = {
