@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from optdock.deadline import set_clock
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.planning import DrivenMotion, InlinePlanning, PlanResult
 from optdock.geometry.arrays import FloatArray
@@ -152,6 +153,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="seed of the starts")
     parser.add_argument("--controller", default="TrackingController")
     given = parser.parse_args()
+    set_clock("cpu")
     rows = [["plant", "robot", "dock", "off path", "p90", "time / plan", "p90", "lost"]]
     for plant, lag, latency in (("perfect", 0.0, 0.0), ("late", LAG, LATENCY)):
         for name in ROBOTS:
