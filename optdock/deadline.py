@@ -78,8 +78,8 @@ def clock_name() -> ClockName:
 def set_clock(name: ClockName, rate: float = 1.0) -> None:
     """Set the clock of time budgets of this process; a counted clock starts at 0.
 
-    The clock applies to every `Deadline` and `PluginContext` of all threads that is created afterwards, unless it is
-    given another clock.
+    In all threads, it is the clock of every `Deadline` that is created afterwards, and of every `PluginContext`, unless
+    they are given another clock.
 
     Args:
         name: `wall`, `cpu` or `counted`.

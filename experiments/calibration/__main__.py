@@ -17,6 +17,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from optdock.deadline import set_clock
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -45,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     options.out.mkdir(parents=True, exist_ok=True)
     tasks = [RobotTask(number, options.recordings, options.fresh, str(options.out)) for number in range(options.robots)]
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(options.jobs, get_context("spawn"), initializer=set_clock, initargs=("cpu",)) as pool:
         found = []
         for robot in pool.map(studied, tasks):
             found.append(robot)

@@ -17,6 +17,7 @@ from experiments.docking.methods import CHECKER
 from experiments.docking.outcome import outcome_of
 from experiments.docking.watched import WatchedPlanning
 from experiments.docking.worlds import WORLDS, Case, World, case_of
+from optdock.deadline import set_clock
 from optdock.executor import DockingExecutor, ExecutorSettings, State
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, transform_points
@@ -428,7 +429,7 @@ def _robot(case: Case, world: World, name: str) -> SimulatedRobot:
 def fault_table(jobs: int) -> tuple[str, bool]:
     """Return the table and whether all runs are safe: no collision, no unnamed standstill, every robot at rest."""
     todo = [(name, number, "detected") for name in FAULTS for number in range(COUNT)]
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=set_clock, initargs=("cpu",)) as pool:
         found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))
     by_name: dict[str, list[FaultOutcome]] = {}
     for (name, _, _), run in zip(todo, found, strict=True):

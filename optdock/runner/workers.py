@@ -58,7 +58,7 @@ class Workers:
 
     Raises:
         InvalidValue: If `count` is less than 1 or given together with a scheduler. On entering the context, if the
-            scheduler or a worker does not answer, or a worker has another version of optdock.
+            scheduler or a worker does not answer, a worker has another version of optdock, or no process starts.
         MissingExtra: On entering the context, if dask is not installed.
     """
 
@@ -130,7 +130,7 @@ class Workers:
         if not isinstance(self._executor, _ThisProcess):
             content = pickle.dumps(shared)
         if self._client is not None:
-            content = self._client.scatter(content, broadcast=True, hash=False)
+            content = self._client.submit(_same, content, pure=False)  # unlike scattered data, computed again if lost
 
         def submit(case: Case) -> Future[Outcome]:
             assert self._executor is not None
@@ -144,11 +144,21 @@ class Workers:
         return submit
 
     def restart(self) -> None:
-        """Replace the processes of this machine by new ones."""
+        """Replace the processes of this machine by new ones.
+
+        Raises:
+            InvalidValue: If no process starts.
+        """
         self._end_processes(at_once=True)
         context = multiprocessing.get_context("spawn")
         watched, self._alive = context.Pipe(duplex=False)
         self._executor = ProcessPoolExecutor(self.count, context, initializer=_end_with, initargs=(watched,))
+        try:
+            self._executor.submit(_version).result()
+        except BrokenProcessPool:
+            raise InvalidValue(
+                "workers: no process starts; in a script, call the run below \"if __name__ == '__main__':\""
+            ) from None
 
     def _end_processes(self, *, at_once: bool) -> None:
         if at_once and self._alive is not None:
@@ -251,6 +261,10 @@ def _client(scheduler: str) -> Any:  # noqa: ANN401 - dask has no types
         listed = ", ".join(f"{worker}: {version}" for worker, version in other.items())
         raise InvalidValue(f"{scheduler}: not all workers have optdock {__version__}: {listed}")
     return client
+
+
+def _same(content: bytes) -> bytes:
+    return content
 
 
 def _version() -> str:

@@ -139,11 +139,17 @@ def test_clock_of_the_cases_is_that_of_the_workers():
 
 
 def test_few_cases_are_read_ahead(pair):
-    read = []
-    outcomes = run_cases(functions.squared, (read.append(one) or one for one in cases(100)), workers=pair)
-    assert next(outcomes).value == {"square": 0, "share": 0.0}
-    assert len(read) < 20
-    outcomes.close()
+    ahead = []
+
+    def watched():
+        for number, case in enumerate(cases(60)):
+            ahead.append(number - len(done))
+            yield case
+
+    done = []
+    found = list(run_cases(functions.squared, watched(), workers=pair, progress=done.append))
+    assert [one.value["square"] for one in found] == [number**2 for number in range(60)]
+    assert max(ahead) == pair.capacity - 1
 
 
 def test_values_that_cannot_be_stored_are_errors():
@@ -350,6 +356,15 @@ if __name__ == "__main__":
         cases = [Case(f"case {number}", (number, 0.05)) for number in range(40)]
         list(run_cases(process_of_case, cases, workers=workers, store=store))
 """
+
+
+def test_a_script_without_main_guard_is_told_so(tmp_path):
+    script = tmp_path / "run.py"
+    script.write_text("from optdock.runner import Workers\nWorkers(2).__enter__()\n")
+    command, environment = [sys.executable, script], os.environ | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
+    assert run.returncode == 1
+    assert "no process starts; in a script, call the run below \"if __name__ == '__main__':\"" in run.stderr
 
 
 def is_running(pid):
