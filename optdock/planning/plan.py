@@ -7,6 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from optdock.errors import CertificationFailed, InvalidFile, MissingExtra, OptdockError
 from optdock.geometry.checked import exactly, instance
 from optdock.geometry.obstacles import in_words
@@ -25,7 +27,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import Trajectory
 from optdock.planners.manoeuvres.price import price_of
 from optdock.plugins.outcomes import SmoothingReport, TimingReport
-from optdock.verification import ProvenMotion, prove_motion
+from optdock.verification import ProvenMotion, end_clearances, pose_clearances, prove_motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,7 +35,47 @@ if TYPE_CHECKING:
 
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["Attempt", "DockPlan", "PartialPlan"]
+__all__ = ["Attempt", "DockPlan", "PartialPlan", "Tightest", "tightest_place"]
+
+
+_FAR = 2.0  # [m]: obstacles farther away are not considered
+
+
+class Tightest(NamedTuple):
+    """Place on a path with the least clearance beyond the required one.
+
+    `margin`: that clearance [m]. `s`: path coordinate [m]. `obstacle`: name of the nearest obstacle.
+    """
+
+    margin: float
+    s: float
+    obstacle: str
+
+
+def tightest_place(
+    path: Path, problem: DockingProblem, start_relief: float = 0.0, step: float = 0.01
+) -> Tightest | None:
+    """Return the place of `DockPlan.tightest` on any path.
+
+    Args:
+        path: A path, which does not need to be certified.
+        problem: The problem.
+        start_relief: `start_relief` of the certificate of the path [m].
+        step: Distance between the samples [m].
+    """
+    s, required = np.arange(0.0, path.length, step), problem.clearance.required
+    poses = path.poses_at(s)
+    ends = problem.goal, problem.start
+    from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
+    required_here = problem.clearance.required_at(from_goal, from_start, end_clearances(problem).start, start_relief)
+    s, poses = s[required_here >= required], poses[required_here >= required]
+    if not s.size or not len(problem.all_obstacles):
+        return None
+    clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
+    k = int(np.argmin(clearances))
+    if not clearances[k] < _FAR:
+        return None
+    return Tightest(float(clearances[k] - required), float(s[k]), problem.all_obstacles.name_of(int(rows[k])))
 
 
 class Attempt(NamedTuple):
@@ -148,6 +190,19 @@ class DockPlan:
     def frame(self) -> str:
         """Name of the coordinate frame of all poses."""
         return self.path.frame
+
+    def tightest(self, step: float = 0.01) -> Tightest | None:
+        """Return the sampled pose with the least clearance beyond the required one, away from the start and the dock.
+
+        Only poses at which the whole clearance is required, and obstacles nearer than 2 m, are considered.
+
+        Args:
+            step: Distance between the samples [m].
+
+        Returns:
+            The place; None if there is no such pose.
+        """
+        return tightest_place(self.path, self.problem, self.certificate.start_relief, step)
 
     def as_file(self, period: float = DEFAULT_PERIOD) -> PlanFile:
         """Return the content of the plan file, with the trajectory sampled at most every `period` [s].

@@ -14,11 +14,11 @@ import numpy as np
 from optdock.errors import FailedToTimePath, OptdockError
 from optdock.geometry.pose import normalize_angle, wrap_angles
 from optdock.model.path import PolylineSegment
-from optdock.planning.plan import PartialPlan
+from optdock.planning.plan import PartialPlan, tightest_place
 from optdock.planning.refinement import FEWER_CUSPS, Cancellation, at_work, plain, returned
 from optdock.plugins.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.plugins.registry import plugin_from, timed_by
-from optdock.reports.report import least_margin, table
+from optdock.reports.report import table
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
@@ -58,7 +58,8 @@ class PathFigures(NamedTuple):
         smoother: Name of the smoother; empty for a raw path.
         cusps: Number of changes of gear.
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
-        margin: Smallest difference between the clearance and the required clearance, as in `least_margin` [m].
+        margin: Smallest difference between the clearance and the required clearance, away from the start and the
+            dock, see `DockPlan.tightest` [m].
         cpu: CPU time of the smoother's call, or of the whole planning call for the path of a plan [ms].
         reason: Message of the smoother's error, or of the largest violation of every rule that the path breaks.
     """
@@ -100,7 +101,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
     """
     problem = scenario.problem
     certificate = certify_path(path, problem)
-    margin = least_margin(path, problem, certificate.start_relief)
+    tightest = tightest_place(path, problem, certificate.start_relief)
     return PathFigures(
         scenario=scenario.source.stem,
         path=kind,
@@ -112,7 +113,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
         duration=_duration(path, scenario) if duration is None else duration,
         cusps=len(path.cusps),
         max_curvature_rate=certificate.max_curvature_rate,
-        margin=None if margin is None else margin.value,
+        margin=None if tightest is None else tightest.margin,
         reason="; ".join(_worst_of(certificate)),
     )
 

@@ -14,7 +14,6 @@ from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null,
 from optdock.io.run_file import RUN_FORMAT
 from optdock.model.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.planning.plan import PartialPlan
-from optdock.verification import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
     from optdock.model.limits import MotionLimits
-    from optdock.model.path import Path
-    from optdock.model.problem import DockingProblem
     from optdock.planning.plan import DockPlan
     from optdock.samples.tube import Deviations
     from optdock.simulation import Run
@@ -32,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = [
     "certificate_rows",
     "failed_plan_file",
-    "least_margin",
     "limit_rows",
     "plan_rows",
     "run_json",
@@ -41,10 +37,6 @@ __all__ = [
 ]
 
 _WIDE = 78  # characters of a value on a line
-_STEP, _FAR = (
-    0.01,
-    2.0,
-)  # [m]: between poses whose clearance is measured; largest distance of obstacles that are included
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
@@ -92,49 +84,14 @@ def plan_rows(plan: DockPlan) -> list[Row]:
     ]
 
 
-class Margin(NamedTuple):
-    """Smallest difference from the required clearance [m], its arc length [m], and the name of the obstacle."""
-
-    value: float
-    at_s: float
-    obstacle: str
-
-
-def least_margin(path: Path, problem: DockingProblem, start_relief: float = 0.0) -> Margin | None:
-    """Return the least difference from the required clearance away from the start and the dock, at poses every 1 cm.
-
-    Near the start and the dock, the required clearance is reduced, and these poses are not included.
-
-    Args:
-        path: A path.
-        problem: The problem.
-        start_relief: `start_relief` of the certificate of the path [m].
-
-    Returns:
-        None if there is no obstacle within 2 m, or no pose with the full required clearance.
-    """
-    s, required = np.arange(0.0, path.length, _STEP), problem.clearance.required
-    poses = path.poses_at(s)
-    ends = problem.goal, problem.start
-    from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
-    required_here = problem.clearance.required_at(from_goal, from_start, end_clearances(problem).start, start_relief)
-    s, poses = s[required_here >= required], poses[required_here >= required]
-    if not s.size or not len(problem.all_obstacles):
-        return None
-    clearances, obstacles = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
-    k = int(np.argmin(clearances))
-    if not clearances[k] < _FAR:
-        return None
-    return Margin(float(clearances[k] - required), float(s[k]), problem.all_obstacles.name_of(int(obstacles[k])))
-
-
 def _tightest_rows(plan: DockPlan) -> list[Row]:
     """Return the least difference from the required clearance away from the start and the dock."""
-    least, required = least_margin(plan.path, plan.problem, plan.certificate.start_relief), plan.problem.clearance
-    if least is None:
+    place, required = plan.tightest(), plan.problem.clearance.required
+    if place is None:
         return []
-    more = f"{least.value:.4f} m more than the required {required.required:.4f} m"
-    return [Row("least margin", f"{more}, to {in_words(least.obstacle)} at s = {least.at_s:.3f} m")]
+    what = in_words(place.obstacle)
+    text = f"{place.margin:.4f} m more than the required {required:.4f} m, to {what} at s = {place.s:.3f} m"
+    return [Row("least margin", text)]
 
 
 def _straight_rows(plan: DockPlan) -> list[Row]:
