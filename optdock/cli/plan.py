@@ -343,10 +343,10 @@ def compare(
         from optdock.plugins.registry import load_plugin
         from optdock.reports.comparison import comparison_csv, comparison_table
 
-        format_of(out / "plan.png")
         names = tuple(dict.fromkeys(smoother or ()))
         for name in names:
             load_plugin(Smoother, name)
+        format_of(out / "plan.png")
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
         figures: list[PathFigures] = []
         statuses: list[ExitStatus] = []
@@ -358,10 +358,10 @@ def compare(
                 advance(scenario.source.stem)
         write_text(out / "comparison.csv", comparison_csv(figures))
         typer.echo(comparison_table(figures))
+        typer.echo(f"comparison.csv and pictures are in {out}")
         for row in figures:
             if names and row.smoother and row.reason:
                 typer.echo(f"{row.scenario}, {row.smoother}: {row.reason}")
-        typer.echo(f"comparison.csv and pictures are in {out}")
     if ended := max(statuses):
         raise typer.Exit(ended)
 
