@@ -364,8 +364,8 @@ def draw(figure: Figure, rows: Sequence[Row]) -> None:
     """Draw the distributions of peak force, lateral error and yaw error, one row per station."""
     found = groups(rows)
     columns = {label: COLUMNS[label][0] for label in ("peak force, N", "across, mm", "yaw, degrees")}
-    names = ("graceful law", "raw path, tracker", "smoothed path, tracker", "executor")
-    colours = dict(zip(names, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
+    methods = ("graceful law", "raw path, tracker", "smoothed path, tracker", "executor")
+    colours = dict(zip(methods, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
     lines = {"perfect": "-", NOISY: "--"}
     names = list(dict.fromkeys(station for station, _, _ in found)) or ["no MuJoCo"]
     axes: Any = figure.subplots(len(names), len(columns), squeeze=False)
