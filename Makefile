@@ -4,6 +4,7 @@ VENV := .venv
 SECONDS := 600
 SEED := 1
 JOBS := 1
+SCALE := 1
 ARGS :=
 BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin
@@ -35,7 +36,8 @@ help:
 	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros);"
 	@echo "                  ROS_DISTRO=jazzy with that of Jazzy (.venv-ros-jazzy), also in ros-demo and bench-ros"
 	@echo "make bench-ros    the ROS 2 servers measured: round trips, heartbeat, 100 dockings; BENCHES=dockings ARGS='--count 20'"
-	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
+	@echo "make experiments  the numbered studies in experiments/, tables and charts in results/; SCALE=0.1 for a quick look,"
+	@echo "                  JOBS=2 processes; on Nav2's maps and public parking cases too with OPTDOCK_DATA"
 
 # What the demo needs, and what everything else needs beside it.
 $(DEMO_STAMP): pyproject.toml
@@ -129,8 +131,9 @@ bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done
 
 experiments: $(STAMP)
-	failed=0; \
-	for script in experiments/[0-9]*.py; do echo "$$script"; $(BIN)/python $$script || failed=1; done; exit $$failed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[ompl]' || echo "the studies run without OMPL"
+	failed=0; for script in experiments/[0-9]*.py; do \
+	$(BIN)/python $$script --scale $(SCALE) --jobs $(JOBS) || failed=1; done; exit $$failed
 
 clean:
 	rm -rf $(VENV) .venv-ros .venv-ros-* demo ros-demo results site

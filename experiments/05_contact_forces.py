@@ -1,36 +1,34 @@
-"""Experiment 5: contact forces and alignment of dockings in a physics simulation.
+"""Study 5: contact forces and alignment of dockings in a physics simulation.
 
 The same random starts around the staging pose (a disc of 0.25 m radius, 0.85 m before the dock, headings within 0.25
 rad) are driven into a flat contact plate and into a V with wings, until contact, by four methods: the graceful law as
 in Nav2's docking server (target 0.25 m behind the dock, Nav2's default parameters), the planner's raw path with the
 TrackingController, the certified plan with the TrackingController, and the executor. After contact the robot presses on
 at 2 cm/s for 1 s, to seat the contacts, and stops. A robot that arrives without contact creeps straight ahead at 3
-cm/s. A run counts as docked if the robot rests in contact within 10 mm laterally and 1.5 degrees. Writes
-results/05_contact_forces/.
+cm/s. A run counts as docked if the robot rests in contact within 10 mm laterally and 1.5 degrees. Every start has its
+own seed of the measurement noise. The table shows p50 / p95 / max over the runs with contact.
 
-    python experiments/05_contact_forces.py [--starts N]
+    python experiments/05_contact_forces.py [--scale S] [--jobs N]
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path as FilePath
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from experiments.graceful_law import nav2_command, random_starts
 from experiments.mujoco import MujocoDrive, VShape, flat_station
-from experiments.mujoco.animation import save_mujoco_animation
-from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
+from experiments.study_run import Report, median_interval, run, scaled, share_text
+from optdock.errors import ControllerException, MissingExtra, OptdockError
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.io.atomic_file import write_text
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.measurements import Measurements
@@ -40,17 +38,21 @@ from optdock.model.robot import Robot
 from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import DockPlan
-from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+from optdock.plotting.canvas import COLOURS
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin
 from optdock.reports.report import table
 from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath, Sensors, SimulatedRobot
 
-OUT = FilePath("results") / FilePath(__file__).stem
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.figure import Figure
+
 GOAL = Pose2(0.0, 0.0, 0.0)
 STAGING = 0.85  # [m]
 PERIOD, TIMEOUT = 0.02, 60.0  # [s]
-TIME_BUDGET = 5.0  # [s] of wall clock, for loaded machines; all but one plan need less than 0.3 s
+TIME_BUDGET = 5.0  # [s] of CPU time; all but one plan need less than 0.3 s
 CREEP, PRESS, PRESSING = 0.03, 0.02, 1.0  # [m/s], [m/s], [s]
 SETTLING = 0.5  # [s] after the stop; a robot that still moves then is not at rest
 MEETING = 0.2  # [s] from the first contact: the impact, without the pressing phase
@@ -251,47 +253,126 @@ def fault_of(robot: SimulatedRobot) -> str:
     return next((name for name, is_so in faults.items() if is_so), "")
 
 
-COLUMNS: dict[str, tuple[Callable[[Docking], float], int]] = {
-    "across, mm": (lambda ending: 1e3 * abs(ending.pose.y), 1),
-    "yaw, degrees": (lambda ending: math.degrees(abs(ending.pose.yaw)), 2),
-    "peak force, N": (lambda ending: ending.peak, 0),
-    "impulse across, N s": (lambda ending: ending.impulse, 1),
-    "time, s": (lambda ending: ending.duration, 1),
+class Task(NamedTuple):
+    """A station and the number of a start, of so many."""
+
+    station: str
+    number: int
+    starts: int
+
+
+class Row(NamedTuple):
+    """Result of one docking; without contact, the peak force is 0."""
+
+    station: str
+    world: str
+    method: str
+    number: int
+    fault: str
+    across: float  # [mm]
+    yaw: float  # [degrees]
+    peak: float  # [N]
+    impulse: float  # [N s]
+    duration: float  # [s]
+
+
+COLUMNS = {
+    "across, mm": ("across", 1),
+    "yaw, degrees": ("yaw", 2),
+    "peak force, N": ("peak", 0),
+    "impulse across, N s": ("impulse", 1),
+    "time, s": ("duration", 1),
 }
+SIZE = (11.0, 6.6)
 
 
-def row(station: str, world: str, method: str, endings: list[Docking]) -> list[str]:
-    """Return one row of the table; its figures are of the runs with contact."""
-    touched = [ending for ending in endings if ending.peak > 0.0]
+def tasks(scale: float) -> list[Task]:
+    """Return every start at every station; no task without MuJoCo."""
+    try:
+        drive_of("plate", NOISY)
+    except MissingExtra:
+        return []
+    count = scaled(scale, 25)
+    return [Task(station, number, count) for station in stations() for number in range(count)]
 
-    def spread(value: Callable[[Docking], float], digits: int) -> str:
-        values = [value(ending) for ending in touched]
+
+@functools.cache
+def drive_of(station: str, world: str) -> MujocoDrive:
+    """Return the simulated drive at a station."""
+    robot, place = stations()[station]
+    return MujocoDrive(robot, place, actuation=WORLDS[world].actuation)
+
+
+def work(task: Task) -> Iterator[Row]:
+    """Dock from one start in every world by every method."""
+    station, number, count = task
+    robot, place = stations()[station]
+    problem = DockingProblem(random_starts(count, STAGING)[number], place, robot)
+    for world, parts in WORLDS.items():
+        for method in METHODS:
+            ending, _ = dock(drive_of(station, world), problem, parts, method, number)
+            errors = 1e3 * abs(ending.pose.y), math.degrees(abs(ending.pose.yaw))
+            yield Row(
+                station, world, method, number, ending.fault, *errors, ending.peak, ending.impulse, ending.duration
+            )
+
+
+def groups(rows: Sequence[Row]) -> dict[tuple[str, str, str], list[Row]]:
+    """Return the rows of every station, world and method, in the order of the table."""
+    keys = [(station, world, method) for station in stations() for world in WORLDS for method in METHODS]
+    found = {key: [row for row in rows if row[:3] == key] for key in keys}
+    return {key: group for key, group in found.items() if group}
+
+
+def line(key: tuple[str, str, str], group: Sequence[Row]) -> list[str]:
+    """Return one line of the table; its figures are of the runs with contact."""
+
+    def spread(column: str, digits: int) -> str:
+        values = [getattr(row, column) for row in group if row.peak > 0.0]
         found = (*np.percentile(values, [50, 95]), max(values)) if values else ()
         return " / ".join(f"{value:.{digits}f}" for value in found) or "-"
 
-    faults = Counter(ending.fault for ending in endings if ending.fault)
+    faults = Counter(row.fault for row in group if row.fault)
     return [
-        station,
-        world,
-        method,
-        f"{sum(not ending.fault for ending in endings)}/{len(endings)}",
-        *(spread(value, digits) for value, digits in COLUMNS.values()),
+        *key,
+        f"{sum(not row.fault for row in group)}/{len(group)}",
+        *(spread(column, digits) for column, digits in COLUMNS.values()),
         ", ".join(f"{count} {fault}" for fault, count in faults.most_common()) or "-",
     ]
 
 
-def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> None:
+def report(rows: Sequence[Row]) -> Report:
+    """Return the table and the comparison of the peak forces."""
+    if not rows:
+        return Report("skipped: needs MuJoCo", "Without MuJoCo, no docking was simulated.")
+    found = groups(rows)
+    head = ["station", "world", "method", "docked", *COLUMNS, "faults"]
+    late = {m: [row for row in rows if row.method == m and row.world == NOISY] for m in METHODS}
+    docked = {m: share_text(sum(not row.fault for row in group), len(group)) for m, group in late.items()}
+    peaks = {m: median_interval([row.peak for row in group if row.peak > 0.0]) for m, group in late.items()}
+    ours, law = (
+        f"{middle:.0f} N ({low:.0f} to {high:.0f})" for middle, low, high in (peaks["executor"], peaks["graceful law"])
+    )
+    closing = (
+        f"With lag, latency and noise, the executor docks in {docked['executor']} runs with a median peak force of "
+        f"{ours}, and the graceful law in {docked['graceful law']} with {law}."
+    )
+    return Report(table([head, *(line(key, group) for key, group in found.items())]), closing)
+
+
+def draw(figure: Figure, rows: Sequence[Row]) -> None:
     """Draw the distributions of peak force, lateral error and yaw error, one row per station."""
+    found = groups(rows)
     columns = {label: COLUMNS[label][0] for label in ("peak force, N", "across, mm", "yaw, degrees")}
-    colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
-    lines = dict(zip(WORLDS, ("-", "--"), strict=True))
-    names = list(dict.fromkeys(station for station, _, _ in found))
-    figure = new_figure(11.0, 3.2 * len(names) + 0.6)
-    axes = figure.subplots(len(names), len(columns), squeeze=False)
-    for (station, world, method), endings in found.items():
-        for axis, (label, value) in zip(axes[names.index(station)], columns.items(), strict=True):
-            values = np.sort([value(ending) for ending in endings if ending.peak > 0.0])
-            share = np.arange(1, len(values) + 1) / len(endings)
+    methods = ("graceful law", "raw path, tracker", "smoothed path, tracker", "executor")
+    colours = dict(zip(methods, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
+    lines = {"perfect": "-", NOISY: "--"}
+    names = list(dict.fromkeys(station for station, _, _ in found)) or ["no MuJoCo"]
+    axes: Any = figure.subplots(len(names), len(columns), squeeze=False)
+    for (station, world, method), group in found.items():
+        for axis, (label, column) in zip(axes[names.index(station)], columns.items(), strict=True):
+            values = np.sort([getattr(row, column) for row in group if row.peak > 0.0])
+            share = np.arange(1, len(values) + 1) / len(group)
             axis.step(
                 values, share, where="post", color=colours[method], linestyle=lines[world], label=f"{method}, {world}"
             )
@@ -301,53 +382,7 @@ def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> 
             axis.grid(visible=True, color="#dddddd", linewidth=0.5)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
-    save_figure(figure, target)
-
-
-def main() -> None:
-    """Run all dockings; print and write the table, draw the picture and the animations."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=100, help="number of starts (default: %(default)s)")
-    poses = random_starts(parser.parse_args().starts, STAGING)
-    try:
-        drives = {
-            (station, world): MujocoDrive(robot, place, actuation=parts.actuation)
-            for station, (robot, place) in stations().items()
-            for world, parts in WORLDS.items()
-        }
-    except MissingExtra as error:
-        print(f"skipped: {error}")
-        return
-    problems = {
-        station: [DockingProblem(pose, place, robot) for pose in poses]
-        for station, (robot, place) in stations().items()
-    }
-    found = {
-        (station, world, method): [
-            dock(drive, problem, WORLDS[world], method, seed)[0] for seed, problem in enumerate(problems[station])
-        ]
-        for (station, world), drive in drives.items()
-        for method in METHODS
-    }
-    head = ["station", "world", "method", "docked", *COLUMNS, "faults"]
-    text = table([head, *(row(*key, endings) for key, endings in found.items())])
-    OUT.mkdir(parents=True, exist_ok=True)
-    write_text(OUT / "forces.md", text + "\n")
-    print(f"p50 / p95 / max of {len(poses)} starts\n\n{text}")
-    draw(found, OUT / "forces.png")
-    animate(drives["V", NOISY], problems["V"])
-
-
-def animate(drive: MujocoDrive, problems: list[DockingProblem]) -> None:
-    """Animate the start with the largest lateral offset in the noisy world, for every method."""
-    seed = max(range(len(problems)), key=lambda i: abs(problems[i].start.y))
-    for method in METHODS:
-        _, states = dock(drive, problems[seed], WORLDS[NOISY], method, seed)
-        try:
-            save_mujoco_animation(OUT / f"{method.replace(', ', '_').replace(' ', '_')}.gif", drive, states)
-        except (MissingExtra, InvalidValue) as error:
-            print(f"no animation: {error}")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(__file__))

@@ -31,8 +31,7 @@ __all__ = ["DRAWN_SCENARIOS", "HINT", "SCENARIOS", "MapScenario", "maps_folder",
 DRAWN_MAPS = Path(__file__).with_name("maps")
 HINT = (
     "depot.yaml and warehouse.yaml with their pictures are in the folder nav2_bringup/maps of "
-    "https://github.com/ros-navigation/navigation2; give the folder as --maps DIR, or set OPTDOCK_DATA to a folder "
-    "that holds them as nav2/maps"
+    "https://github.com/ros-navigation/navigation2; set OPTDOCK_DATA to a folder that holds them as nav2/maps"
 )
 
 ROBOT = Robot(

@@ -7,6 +7,7 @@ a test compares it with the digest of the table on the page.
 from __future__ import annotations
 
 import hashlib
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,9 +75,47 @@ def draw_contact(axes: Axes, rows: list[dict[str, str]]) -> None:
     axes.grid(axis="x", alpha=0.25)
 
 
+def shares_of(text: str) -> tuple[float, float, float]:
+    """Return a share and the ends of its interval in percent, from a text such as `3/10 (10.8-60.3 %)`."""
+    count, total, low, high = map(float, re.findall(r"[\d.]+", text))
+    return 100.0 * count / total, low, high
+
+
+def draw_budgets(axes: Axes, rows: list[dict[str, str]]) -> None:
+    """Draw the share of certified calls over the time budget, with its interval."""
+    budgets = [float(row["budget, ms"]) for row in rows]
+    middle, low, high = zip(*(shares_of(row["certified in this CPU time"]) for row in rows), strict=True)
+    axes.fill_between(budgets, low, high, color=COLOURS["path"], alpha=0.25, linewidth=0)
+    axes.plot(budgets, middle, "o-", color=COLOURS["path"], markersize=4)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("time budget [ms of CPU time], with 95 % intervals")
+    axes.set_ylabel("certified [%]")
+    axes.set_ylim(0.0, 102.0)
+    axes.grid(alpha=0.25)
+
+
+def draw_successes(axes: Axes, rows: list[dict[str, str]]) -> None:
+    """Draw the shares of the reported successes that break a rule, by smoother, with their intervals."""
+    faults = {"too sharp": "goal", "too close": "raw", "collides": "hot"}
+    for k, (fault, colour) in enumerate(faults.items()):
+        for y, row in enumerate(reversed(rows)):
+            middle, low, high = shares_of(row[fault])
+            at = y + 0.25 * (1 - k)
+            axes.plot([low, high], [at, at], color=COLOURS[colour], linewidth=1.2)
+            axes.plot([middle], [at], "o", color=COLOURS[colour], markersize=4, label=fault if y == 0 else None)
+    axes.set_yticks(range(len(rows)), [row["smoother"] for row in reversed(rows)])
+    axes.set_xlim(-0.5, None)
+    axes.set_xlabel("share of the reported successes [%], 95 % interval")
+    axes.grid(axis="x", alpha=0.25)
+    axes.legend(fontsize=7.5, loc="lower center", frameon=False)
+
+
 CHARTS = {
+    "budgets": (draw_budgets, "python experiments/04_budgets.py", 2.2),
+    "successes": (draw_successes, "python experiments/08_successes_refuted.py", 2.4),
     "calls": (draw_calls, "python -m experiments.manoeuvres", 4.2),
-    "contact": (draw_contact, "python experiments/05_contact_forces.py", 1.7),
+    "contact": (draw_contact, "python experiments/05_contact_forces.py --scale 4", 1.7),
 }
 """Drawing function, command of the table, and height [inch]."""
 

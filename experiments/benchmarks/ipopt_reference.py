@@ -155,7 +155,7 @@ def _options(max_time: float) -> dict[str, _Option]:
             "sb": "yes",
             "tol": 1e-7,
             "max_iter": 400,
-            "max_wall_time": max_time,
+            "max_cpu_time": max_time,
             "mu_init": 1e-3,
             "bound_push": 1e-4,
             "bound_frac": 1e-4,

@@ -343,6 +343,15 @@ def compare(
         list[Path], typer.Argument(help="Scenario files (YAML); other files are skipped.", show_default=False)
     ],
     *,
+    smoother: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Smoother plugin to measure on the raw path of each plan; may be repeated. Default: the paths of the "
+            "plans.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for comparison.csv and a picture of each scenario.")] = Path(
         "comparison"
     ),
@@ -351,22 +360,33 @@ def compare(
 ) -> None:
     """Compare raw and smoothed paths of scenarios: print a table, write a CSV and pictures.
 
-    The exit status is the highest exit status of all scenarios.
+    Every smoother that is given smooths the same raw path once, and its path is measured whether it is certified or
+    not; the column reason of the CSV lists the violated rules. Time budgets count CPU time.
+
+    The exit status is the highest exit status of all scenarios; the measured smoothers do not change it.
+
+    For example: optdock compare bay.yaml --smoother CasadiSmoother --smoother SimpleSmoother
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
+        from optdock.deadline import budget_clock
         from optdock.io.atomic_file import write_text
         from optdock.plotting.canvas import format_of
+        from optdock.plugins.interfaces import Smoother
+        from optdock.plugins.registry import load_plugin
         from optdock.reports.comparison import comparison_csv, comparison_table
 
+        names = tuple(dict.fromkeys(smoother or ()))
+        for name in names:
+            load_plugin(Smoother, name)
         format_of(out / "plan.png")
         check_report(report)
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
         figures: list[PathFigures] = []
         statuses: list[ExitStatus] = []
-        with working("comparing", len(loaded)) as advance:
+        with budget_clock("cpu"), working("comparing", len(loaded)) as advance:
             for number, scenario in enumerate(loaded, start=1):
-                rows, status = _compared(scenario, out / f"{number:02d}_{scenario.source.stem}.png")
+                rows, status = _compared(scenario, names, out / f"{number:02d}_{scenario.source.stem}.png")
                 figures.extend(rows)
                 statuses.append(status)
                 advance(scenario.source.stem)
@@ -377,6 +397,9 @@ def compare(
 
             save_report(report, "Comparison", [comparison_chapter("comparison.csv", comparison_csv(figures))])
         typer.echo(f"comparison.csv and pictures are in {out}")
+        for row in figures:
+            if names and row.smoother and row.reason:
+                typer.echo(f"{row.scenario}, {row.smoother}: {row.reason}")
     if ended := max(statuses):
         raise typer.Exit(ended)
 
@@ -409,20 +432,27 @@ def _is_scenario(source: Path) -> bool:
     return re.search(rb"^\W*format\W*:\W*optdock-scenario/", content, re.MULTILINE) is not None
 
 
-def _compared(scenario: Scenario, picture: Path) -> tuple[list[PathFigures], ExitStatus]:
+def _compared(scenario: Scenario, smoothers: tuple[str, ...], picture: Path) -> tuple[list[PathFigures], ExitStatus]:
     """Draw a scenario, and return its rows and exit status; a failure becomes a row and a line on stderr."""
     from optdock.planning.plan import PartialPlan
-    from optdock.reports.comparison import PathFigures, figures_of
+    from optdock.plugins.registry import PluginChoice
+    from optdock.reports.comparison import figures_of, planned_figures, raw_path_of, smoothed_figures
 
-    name, outputs = scenario.source.stem, PlanOutputs(picture=picture)
+    outputs = PlanOutputs(picture=picture)
+    found: DockPlan | OptdockError
     try:
         found = solved(scenario, outputs=outputs)
     except OptdockError as error:
         if status_of(error) is ExitStatus.BAD_INPUT:
             raise
-        typer.echo(f"{name}: {one_line(error)}", err=True)
-        raw, failed = PartialPlan.left_by(error).raw_path, PathFigures(name, "smoothed", type(error).__name__)
-        return ([failed] if raw is None else [figures_of(scenario, "raw", raw), failed]), status_of(error)
-    write(scenario, found, outputs)
-    smoothed = figures_of(scenario, "smoothed", found.path, found.trajectory.duration)
-    return [figures_of(scenario, "raw", found.raw_path), smoothed], ExitStatus.CERTIFIED
+        typer.echo(f"{scenario.source.stem}: {one_line(error)}", err=True)
+        found, raw, status = error, PartialPlan.left_by(error).raw_path, status_of(error)
+    else:
+        write(scenario, found, outputs)
+        raw, status = raw_path_of(found) if smoothers else found.raw_path, ExitStatus.CERTIFIED
+    rows = [] if raw is None else [figures_of(scenario, "raw", raw)]
+    if raw is None or not smoothers:
+        return [*rows, planned_figures(scenario, found)], status
+    own = scenario.smoother
+    choices = [own if name == own.name else PluginChoice(name) for name in smoothers]
+    return [*rows, *(smoothed_figures(scenario, raw, choice) for choice in choices)], status

@@ -52,6 +52,7 @@ from optdock.planners.manoeuvres.price import least_price
 from optdock.planning.failures import Failure, check_ends, furthest, refusal, stage_of
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import (
+    FEWER_CUSPS,
     Cancellation,
     Refinement,
     at_work,
@@ -371,7 +372,7 @@ class _Portfolio:
             if path is None:
                 return
             tried.add(path.digest)
-            self._try(Guess(path, "fewer cusps"), is_last=True)
+            self._try(Guess(path, FEWER_CUSPS), is_last=True)
 
     def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
         """Yield every guess, and whether it is known to be the last guess; then search for a proof."""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["Attempt", "DockPlan", "PartialPlan", "Tightest"]
+__all__ = ["Attempt", "DockPlan", "PartialPlan", "Tightest", "tightest_place"]
 
 
 _FAR = 2.0  # [m]: obstacles farther away are not considered
@@ -50,6 +50,32 @@ class Tightest(NamedTuple):
     margin: float
     s: float
     obstacle: str
+
+
+def tightest_place(
+    path: Path, problem: DockingProblem, start_relief: float = 0.0, step: float = 0.01
+) -> Tightest | None:
+    """Return the place of `DockPlan.tightest` on any path.
+
+    Args:
+        path: A path, which does not need to be certified.
+        problem: The problem.
+        start_relief: `start_relief` of the certificate of the path [m].
+        step: Distance between the samples [m].
+    """
+    s, required = np.arange(0.0, path.length, step), problem.clearance.required
+    poses = path.poses_at(s)
+    ends = problem.goal, problem.start
+    from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
+    required_here = problem.clearance.required_at(from_goal, from_start, end_clearances(problem).start, start_relief)
+    s, poses = s[required_here >= required], poses[required_here >= required]
+    if not s.size or not len(problem.all_obstacles):
+        return None
+    clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
+    k = int(np.argmin(clearances))
+    if not clearances[k] < _FAR:
+        return None
+    return Tightest(float(clearances[k] - required), float(s[k]), problem.all_obstacles.name_of(int(rows[k])))
 
 
 class Attempt(NamedTuple):
@@ -176,21 +202,7 @@ class DockPlan:
         Returns:
             The place; None if there is no such pose.
         """
-        problem, s = self.problem, np.arange(0.0, self.path.length, step)
-        poses, required = self.path.poses_at(s), problem.clearance.required
-        ends = problem.goal, problem.start
-        from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
-        required_here = problem.clearance.required_at(
-            from_goal, from_start, end_clearances(problem).start, self.certificate.start_relief
-        )
-        s, poses = s[required_here >= required], poses[required_here >= required]
-        if not s.size or not len(problem.all_obstacles):
-            return None
-        clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
-        k = int(np.argmin(clearances))
-        if not clearances[k] < _FAR:
-            return None
-        return Tightest(float(clearances[k] - required), float(s[k]), problem.all_obstacles.name_of(int(rows[k])))
+        return tightest_place(self.path, self.problem, self.certificate.start_relief, step)
 
     def as_file(self, period: float = DEFAULT_PERIOD) -> PlanFile:
         """Return the content of the plan file, with the trajectory sampled at most every `period` [s].

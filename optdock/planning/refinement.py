@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
 __all__ = [
+    "FEWER_CUSPS",
     "Cancellation",
     "Refinement",
     "at_work",
@@ -84,6 +85,7 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 PLAIN_TIMING = "Windowed"  # its motions need no repair
+FEWER_CUSPS = "fewer cusps"  # stage of the guesses of `fewer_cusps`
 # Share of the budget, its least and most [s], reserved for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 # Clearance below which the robot touches an obstacle [m]; spacing of the samples along a path [m]; heading tolerance of

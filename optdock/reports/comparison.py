@@ -6,14 +6,18 @@ import csv
 import io
 import itertools
 import math
+import time
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import FailedToTimePath
+from optdock.errors import FailedToTimePath, OptdockError
 from optdock.geometry.pose import normalize_angle, wrap_angles
 from optdock.model.path import PolylineSegment
-from optdock.plugins.registry import timed_by
+from optdock.planning.plan import PartialPlan, tightest_place
+from optdock.planning.refinement import FEWER_CUSPS, Cancellation, at_work, plain, returned
+from optdock.plugins.interfaces import Smoother, SmoothingResult, never_cancelled
+from optdock.plugins.registry import plugin_from, timed_by
 from optdock.reports.report import table
 from optdock.verification import certify_path
 
@@ -22,8 +26,21 @@ if TYPE_CHECKING:
 
     from optdock.config import Scenario
     from optdock.model.path import Path, Segment
+    from optdock.planning.plan import DockPlan
+    from optdock.plugins.registry import PluginChoice
+    from optdock.verification import Certificate
+    from optdock.verification.certificate import Violation
 
-__all__ = ["PathFigures", "comparison_csv", "comparison_table", "figures_of", "worst_joint_angle"]
+__all__ = [
+    "PathFigures",
+    "comparison_csv",
+    "comparison_table",
+    "figures_of",
+    "planned_figures",
+    "raw_path_of",
+    "smoothed_figures",
+    "worst_joint_angle",
+]
 
 
 class PathFigures(NamedTuple):
@@ -38,6 +55,13 @@ class PathFigures(NamedTuple):
         worst_joint: Largest jump of the direction of motion [deg].
         min_clearance: Smallest distance of the footprint from an obstacle [m].
         duration: Duration under the motion limits [s].
+        smoother: Name of the smoother; empty for a raw path.
+        cusps: Number of changes of gear.
+        max_curvature_rate: Largest |d curvature / ds| [1/m^2].
+        margin: Smallest difference between the clearance and the required clearance, away from the start and the
+            dock, see `DockPlan.tightest` [m].
+        cpu: CPU time of the smoother's call, or of the whole planning call for the path of a plan [ms].
+        reason: Message of the smoother's error, or of the largest violation of every rule that the path breaks.
     """
 
     scenario: str
@@ -48,9 +72,22 @@ class PathFigures(NamedTuple):
     worst_joint: float | None = None
     min_clearance: float | None = None
     duration: float | None = None
+    smoother: str = ""
+    cusps: int | None = None
+    max_curvature_rate: float | None = None
+    margin: float | None = None
+    cpu: float | None = None
+    reason: str = ""
 
 
-_UNITS = {"length": "m", "max_curvature": "1/m", "worst_joint": "deg", "min_clearance": "m", "duration": "s"}
+_UNITS = {
+    "length": "m", "max_curvature": "1/m", "worst_joint": "deg", "min_clearance": "m", "duration": "s",
+    "max_curvature_rate": "1/m^2", "margin": "m", "cpu": "ms",
+}  # fmt: skip
+_PRINTED = (
+    "scenario", "path", "smoother", "status", "length", "cusps", "max_curvature", "max_curvature_rate", "worst_joint",
+    "min_clearance", "margin", "duration", "cpu",
+)  # fmt: skip
 
 
 def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None = None) -> PathFigures:
@@ -62,7 +99,9 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
         path: The path.
         duration: Duration of the motion [s]; None: computed by the time parameterizer of the scenario.
     """
-    certificate = certify_path(path, scenario.problem)
+    problem = scenario.problem
+    certificate = certify_path(path, problem)
+    tightest = tightest_place(path, problem, certificate.start_relief)
     return PathFigures(
         scenario=scenario.source.stem,
         path=kind,
@@ -72,7 +111,80 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
         worst_joint=math.degrees(worst_joint_angle(path)),
         min_clearance=certificate.min_clearance,
         duration=_duration(path, scenario) if duration is None else duration,
+        cusps=len(path.cusps),
+        max_curvature_rate=certificate.max_curvature_rate,
+        margin=None if tightest is None else tightest.margin,
+        reason="; ".join(_worst_of(certificate)),
     )
+
+
+def _worst_of(certificate: Certificate) -> list[str]:
+    """Return the message of the largest violation of every violated rule."""
+    worst: dict[str, Violation] = {}
+    for one in certificate.violations:
+        if one.kind not in worst or one.amount > worst[one.kind].amount:
+            worst[one.kind] = one
+    return [one.message for one in worst.values()]
+
+
+def planned_figures(scenario: Scenario, found: DockPlan | OptdockError) -> PathFigures:
+    """Compute the figures of the path of a plan, or of the path on which planning failed, if there is one.
+
+    Args:
+        scenario: The scenario.
+        found: The plan, or the error of planning.
+    """
+    if isinstance(found, OptdockError):
+        left = PartialPlan.left_by(found)
+        figures, spent = _refused(scenario, left.path, found), left.timing_ms
+    else:
+        figures = figures_of(scenario, "smoothed", found.path, found.trajectory.duration)
+        spent = dict(found.timing_ms)
+    return figures._replace(smoother=scenario.smoother.name, cpu=spent.get("total"))
+
+
+def _refused(scenario: Scenario, path: Path | None, error: OptdockError) -> PathFigures:
+    """Return the figures of an unfinished path, if there is one, with the error as status and reason."""
+    found = (
+        PathFigures(scenario.source.stem, "smoothed", "") if path is None else figures_of(scenario, "smoothed", path)
+    )
+    return found._replace(status=type(error).__name__, reason=" ".join(str(error).split()))
+
+
+def smoothed_figures(scenario: Scenario, raw: Path, choice: PluginChoice) -> PathFigures:
+    """Smooth a raw path by one smoother, within the time budget of the scenario, and compute the figures of the result.
+
+    The result does not need to be certified. If the smoother raises an error with an unfinished path, the figures are
+    those of the unfinished path.
+
+    Args:
+        scenario: The scenario that the path must solve.
+        raw: The path before smoothing.
+        choice: The smoother.
+
+    Raises:
+        PluginError: If the plugin is unknown or cannot be created.
+        InvalidValue: If a parameter is wrong.
+    """
+    smoother, problem = plugin_from(Smoother, choice, "smoother"), scenario.problem
+    began = time.process_time()
+    try:
+        with at_work(smoother, problem, Cancellation(never_cancelled)):
+            result = smoother.smooth(raw, scenario.time_budget, problem=problem)
+        path = plain(returned(result, SmoothingResult, smoother).path, smoother, problem.frame)
+        cpu = 1e3 * (time.process_time() - began)
+        found = figures_of(scenario, "smoothed", path)
+    except OptdockError as error:
+        cpu = 1e3 * (time.process_time() - began)
+        found = _refused(scenario, PartialPlan.left_by(error).path, error)
+    return found._replace(smoother=choice.name, cpu=cpu)
+
+
+def raw_path_of(plan: DockPlan) -> Path:
+    """Return the cheapest guess of a planner that became a plan; guesses that were derived from plans do not count."""
+    made = [one for one in plan.tried if one.guess is not None and not one.reason and one.stage != FEWER_CUSPS]
+    best = min(made, key=lambda one: one.price, default=None)
+    return plan.raw_path if best is None or best.guess is None else best.guess
 
 
 def _duration(path: Path, scenario: Scenario) -> float | None:
@@ -109,22 +221,23 @@ def _jump_inside(segment: Segment) -> float:
 
 
 def comparison_table(figures: Sequence[PathFigures]) -> str:
-    """Return the figures as an aligned table."""
-    heads = (f"{name} {_UNITS.get(name, '')}".strip().replace("_", " ") for name in PathFigures._fields)
-    return table([tuple(heads), *(tuple(_cell(value, 4, "-") for value in row) for row in figures)])
+    """Return the figures as an aligned table, without the reasons."""
+    heads = (f"{name} {_UNITS.get(name, '')}".strip().replace("_", " ") for name in _PRINTED)
+    rows = (tuple(_cell(getattr(row, name), 4, "-") for name in _PRINTED) for row in figures)
+    return table([tuple(heads), *rows])
 
 
 def comparison_csv(figures: Sequence[PathFigures]) -> str:
     """Return the figures as CSV; the cells of missing figures are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    units = {name: f"_{unit.replace('1/', '1p')}" for name, unit in _UNITS.items()}
+    units = {name: f"_{unit.replace('1/', '1p').replace('^', '')}" for name, unit in _UNITS.items()}
     writer.writerow(f"{name}{units.get(name, '')}" for name in PathFigures._fields)
     writer.writerows([_cell(value, 9, "") for value in row] for row in figures)
     return buffer.getvalue()
 
 
 def _cell(value: str | float | None, digits: int, missing: str) -> str:
-    if value is None:
+    if value is None or value == "":
         return missing
     return value if isinstance(value, str) else f"{value:.{digits}g}"

@@ -1,4 +1,4 @@
-"""Experiment 6: the driven motion stays within the tolerance of its certified path."""
+"""The driven motion stays within the tolerance of its certified path."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from optdock.planning.pipeline import plan_dock
 from optdock.plugins.lifecycle import PluginContext
 from optdock.simulation import Actuation, SimulationSettings, Steering, run_closed_loop
 
-experiment = importlib.import_module("experiments.06_driven_as_proven")
+experiment = importlib.import_module("experiments.driven_as_proven")
 START = Pose2(-1.6, 0.4, 0.3)
 COMBINATIONS = [
     ("differential", DockDirection.FORWARD, True),

@@ -1,10 +1,5 @@
 """Scenarios on maps: raw paths violate bounds, smoothed ones are certified, and two independent checks agree."""
 
-import importlib
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -17,7 +12,6 @@ from optdock.planning.pipeline import plan_dock
 from optdock.verification import certify_path
 
 BUDGET = 20.0  # [s]: the test is of verdicts, not of time
-ROOT = DRAWN_MAPS.parents[1]
 
 
 def check(scenario):
@@ -59,33 +53,3 @@ def test_committed_map_equals_the_drawn_map():
     expected = np.select([drawn == FREE, drawn == OCCUPIED, drawn == UNKNOWN], [FREE_SPACE, LETHAL, NO_INFORMATION])
     assert np.mean(costs != expected) < 1e-3
     assert min(np.mean(costs == cost) for cost in (FREE_SPACE, LETHAL, NO_INFORMATION)) > 0.02
-
-
-def test_the_experiment_runs_from_a_clone(tmp_path):
-    environment = {key: value for key, value in os.environ.items() if key != "OPTDOCK_DATA"}
-    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), environment.get("PYTHONPATH", "")))
-    command = [sys.executable, ROOT / "experiments" / "01_docking_on_maps.py", "--only", "hall north wall"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
-    assert done.returncode == 0, done.stderr
-    assert "1 of 1 certified, 1 docked" in done.stdout
-    made = {path.name for path in (tmp_path / "results" / "01_docking_on_maps").iterdir()}
-    name = "hall_north_wall_past_a_pillar"
-    assert made == {"tables.txt", "comparison.csv", f"{name}.png", f"{name}_run.png"}
-
-
-@pytest.mark.parametrize("given", ["option", "variable"])
-def test_requested_maps_that_are_missing_are_reported_with_their_source(tmp_path, given, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr(sys, "argv", ["01_docking_on_maps", *(["--maps", "nowhere"] if given == "option" else [])])
-    if given == "option":
-        monkeypatch.delenv("OPTDOCK_DATA", raising=False)
-    else:
-        monkeypatch.setenv("OPTDOCK_DATA", "nowhere")
-    with pytest.raises(SystemExit) as left:
-        importlib.import_module("experiments.01_docking_on_maps").main()
-    assert left.value.code == 2
-    message = capsys.readouterr().err
-    assert "holds no depot.yaml and no warehouse.yaml; " in message
-    assert "https://github.com/ros-navigation/navigation2" in message
-    assert not (tmp_path / "results").exists()

@@ -1,5 +1,6 @@
 import csv
 import dataclasses
+import itertools
 import json
 import logging
 import pathlib
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from optdock.cli import app
 from optdock.config import demo_scenario, load_scenario
+from optdock.deadline import budget_clock
 from optdock.errors import NoMotionExists
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
@@ -713,6 +715,37 @@ def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):
     assert rows[2]["length_m"] == ""
     assert sorted(path.name for path in (tmp_path / "cmp").glob("*.png")) == ["01_first.png", "02_second.png"]
     assert len(result.stdout.splitlines()) == 5
+
+
+def test_compare_measures_smoothers_whether_they_are_certified_or_not(tmp_path):
+    write(name="bay.yaml")
+    names = ("CasadiSmoother", "SimpleSmoother", "SavitzkyGolaySmoother")
+    result = run("compare", "bay.yaml", *(word for name in names for word in ("--smoother", name)), "--out", "cmp")
+    assert result.exit_code == 0
+    raw, *rows = list(csv.DictReader((tmp_path / "cmp" / "comparison.csv").read_text().splitlines()))
+    assert [row["smoother"] for row in rows] == [*names]
+    assert [row["status"] for row in rows] == ["certified", "not certified", "not certified"]
+    for row in (raw, *rows):
+        measured = ("length_m", "cusps", "max_curvature_rate_1pm2", "worst_joint_deg", "min_clearance_m", "margin_m")
+        assert np.isfinite([float(row[name]) for name in measured]).all()
+    assert all(float(row["cpu_ms"]) > 0.0 for row in rows)
+    assert raw["cpu_ms"] == rows[0]["reason"] == ""
+    assert float(rows[0]["margin_m"]) > -1e-6
+    assert "curvature" in rows[1]["reason"]
+    assert f"bay, SimpleSmoother: {rows[1]['reason']}" in result.stdout.splitlines()
+    unknown = run("compare", "bay.yaml", "--smoother", "SimpelSmoother")
+    assert unknown.exit_code == 2
+    assert "SimpleSmoother" in unknown.stderr
+
+
+def test_compare_counts_cpu_time_so_that_load_changes_nothing(monkeypatch):
+    """The wall clock is advanced by an hour at each reading."""
+    write(name="bay.yaml")
+    hours = itertools.count(step=3600.0)
+    with budget_clock("wall"):
+        monkeypatch.setattr("optdock.deadline._Process.clock.read", lambda: next(hours))
+        assert run("plan", "bay.yaml").exit_code == 5
+        assert run("compare", "bay.yaml", "--smoother", "CasadiSmoother", "--out", "cmp").exit_code == 0
 
 
 def test_compare_skips_what_is_no_scenario_and_says_so(tmp_path):
