@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PassedCells", "passed_cells", "seconds_from_rest", "time_rests"]
 
+_SHORTEST = 0.01  # [m] of the first gear of a rest
 _SPACING = 0.02  # [m] between the poses of a path that are assigned to cells
 # Distances [m] after which the robot is to have joined the original motion; the first one that is possible is used.
 _JOINS_AFTER = (0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
@@ -109,7 +110,9 @@ def passed_cells(plan: DockPlan, grid: SurveyGrid) -> PassedCells:
     starts = np.array(path.cusps)
     left += CUSP_PRICE * (starts.size - np.searchsorted(starts, s, side="right"))
     # Of the poses of a visit, the one next to the centre of the cell.
-    inside = np.flatnonzero(cells >= 0)
+    borders = path.segment_starts[1:]
+    to_go = borders[np.minimum(np.searchsorted(borders, s, side="right"), borders.size - 1)] - s
+    inside = np.flatnonzero((cells >= 0) & (to_go >= _SHORTEST))
     if inside.size == 0:
         return PassedCells.joined(())
     gap = poses[inside] - grid.poses(cells[inside])
