@@ -28,7 +28,6 @@ from optdock.cli.common import (
 )
 from optdock.cli.exit_status import ExitStatus, status_of
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
-from optdock.runner import Case, Workers, run_cases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from optdock.io.plan_file import PlanFile
     from optdock.planning.plan import DockPlan, PartialPlan
     from optdock.reports.comparison import PathFigures
+    from optdock.runner import Workers
 
 __all__ = ["PlanOutputs", "compare", "draw_profile", "plan", "solved", "write", "written_failure"]
 
@@ -130,6 +130,8 @@ def plan(  # noqa: PLR0913 - one parameter per option
             spare(scenario, out, csv, plot, profile, report)
             _plan_and_report(_loaded(scenario, nav2), time_budget, outputs, profile, csv)
             return
+        from optdock.runner import Workers
+
         _check_several(outputs, profile, csv, *nav2)
         ended = _plan_several(scenarios, time_budget, outputs, Workers(jobs, scheduler))
     if ended:
@@ -296,6 +298,7 @@ def _plan_several(sources: list[Path], time_budget: float | None, outputs: PlanO
     from optdock.config import load_scenario
     from optdock.io.atomic_file import write_text
     from optdock.reports.report import table
+    from optdock.runner import Case, run_cases
 
     folder = outputs.file or Path()
     targets = [folder / f"{source.stem}.json" for source in sources]
