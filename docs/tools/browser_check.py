@@ -31,6 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SIZES = {"desktop": (1280, 900), "phone": (390, 844)}
 SCHEMES = ("light", "dark")
 WAITS = 120  # half seconds until all figures are drawn
+SLOW = 300_000  # [ms], time limit of a picture of a whole page
 MOVED = 0.6  # of the way of every slider
 
 
@@ -91,7 +92,7 @@ def check(browser: Browser, report: Path, pictures: Path) -> int:
             for fault in faults_of(page, report):
                 count += 1
                 print(f"{report}: {size}, {scheme}: {fault}")
-            page.screenshot(path=str(pictures / f"{report.stem}-{size}-{scheme}.png"), full_page=True)
+            page.screenshot(path=str(pictures / f"{report.stem}-{size}-{scheme}.png"), full_page=True, timeout=SLOW)
             context.close()
     return count
 
