@@ -17,7 +17,13 @@ from optdock.impossibility.blocked_straight import (
 )
 from optdock.impossibility.cell_decomposition import ImpossibilitySearch, prove_impossible
 from optdock.impossibility.footprint_discs import prepare_footprint
-from optdock.impossibility.proof import Bottleneck, ImpossibilityProof, ImpossibilityVerdict, check_cells
+from optdock.impossibility.proof import (
+    Bottleneck,
+    ImpossibilityProof,
+    ImpossibilityVerdict,
+    check_cells,
+    separated_starts,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,6 +43,7 @@ __all__ = [
     "prepare_footprint",
     "prove_impossible",
     "prove_straight_blocked",
+    "separated_starts",
 ]
 
 NoMotionProof: TypeAlias = ImpossibilityProof | BlockedStraight

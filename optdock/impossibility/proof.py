@@ -42,8 +42,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from optdock.errors import InvalidFile
 from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.obstacles import in_words
+from optdock.geometry.pose import Pose2
 from optdock.model.problem import ProblemFingerprint
-from optdock.verification.proximity import end_clearances
+from optdock.verification.proximity import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from shapely import STRtree
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
 
 __all__ = [
@@ -62,6 +62,7 @@ __all__ = [
     "ImpossibilityVerdict",
     "check_cells",
     "least_required",
+    "separated_starts",
 ]
 
 CELLS = 16  # along each side of a tile
@@ -324,6 +325,34 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
     return ImpossibilityVerdict(proven=not fault, reason=fault, cells=count)
 
 
+def separated_starts(proof: ImpossibilityProof, problem: DockingProblem, poses: FloatArray) -> BoolArray:
+    """Return whether a proof that holds for `problem` also holds for other starts at rest.
+
+    If the clearance of a start is at least the one required away from the dock, `least_required` does not depend on the
+    start. The blocked cells are then the same for every such start, which only has to be on the same side of them.
+
+    Args:
+        proof: Proof for which `check_cells` is true.
+        problem: The planning problem.
+        poses: Other start poses, Shape (n, 3).
+
+    Returns:
+        Shape (n,); False if a start needs a check of its own.
+    """
+    required, footprint = problem.path_clearance.required + SLACK, problem.robot.footprint
+    found = np.zeros(len(poses), dtype=np.bool_)
+    if len(poses) == 0 or end_clearances(problem).start < required:
+        return found
+    clearances, _ = pose_clearances(poses, footprint, problem.all_obstacles, within=required + SLACK)
+    rim = _Rim(proof)
+    for row in np.flatnonzero(clearances >= required).tolist():
+        cells, is_covered = rim.cells_at(_middle(Pose2.from_sequence(poses[row]), proof))
+        inside = [rim.inside[k][places] for k, places in cells]
+        enclosed = is_covered and all(part.all() for part in inside)
+        found[row] = enclosed if proof.end == "start" else not any(part.any() for part in inside)
+    return found
+
+
 def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
     """Return a fault of a proof that can be found without examining cells; empty if no fault is found."""
     import shapely
@@ -378,12 +407,12 @@ class _Rim:
 
     def fault(self, inner: FloatArray, outer: FloatArray) -> str:
         """Mark the rim of the set, given both end poses; return a fault of the set itself, or an empty string."""
-        within, is_covered = self._cells_at(inner)
+        within, is_covered = self.cells_at(inner)
         for k, cells in within:
             self.blocked[k][cells] |= ~self.inside[k][cells]
         if not is_covered:
             return "the set of cells does not contain its end pose"
-        if any(self.inside[k][cells].any() for k, cells in self._cells_at(outer)[0]):
+        if any(self.inside[k][cells].any() for k, cells in self.cells_at(outer)[0]):
             return "the set holds both ends"
         for inside, rim in zip(self.inside, self.blocked, strict=True):
             for axis in (1, 2):
@@ -394,7 +423,7 @@ class _Rim:
                 np.logical_or(rim, np.roll(inside, turned, axis=0) & ~inside, out=rim)
         return "" if self._is_closed_at_sides() else "the set continues beyond the tiles"
 
-    def _cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:
+    def cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:
         """Return the cells that contain a pose of the centre, up to `SLACK`, and whether tiles surround it."""
         unit = 2.0 * self.cell / 2**self.finest
         near = 2.0 * SLACK / unit

@@ -22,7 +22,12 @@ import numpy as np
 from optdock.deadline import Deadline
 from optdock.errors import NoMotionExists, OptdockError
 from optdock.geometry.pose import Pose2, wrap_angles
-from optdock.impossibility import check_impossibility, impossibility_from_dict
+from optdock.impossibility import (
+    ImpossibilityProof,
+    check_impossibility,
+    impossibility_from_dict,
+    separated_starts,
+)
 from optdock.io.path_columns import curves_of, path_from_curves
 from optdock.planners.manoeuvres.price import stops
 from optdock.planning.deformation import deformed
@@ -140,23 +145,26 @@ class _Work:
     """Answers of a tile so far."""
 
     task: SurveyTask
+    cells: Sequence[int]
     known: list[_Known] = field(default_factory=list)
     proofs: list[NoMotionProof] = field(default_factory=list)
+    separated: dict[int, int] = field(default_factory=dict)  # number of the proof of a cell
     passed: list[PassedCells] = field(default_factory=list)
 
     def answer(self, cell: int, pose: FloatArray) -> Answer:
         """Answer one question."""
         scenario = self.task.scenario
         problem = scenario.problem.starting_at(Pose2.from_sequence(pose))
-        for number, proof in enumerate(self.proofs):
-            if check_impossibility(proof, problem):
-                return Answer(cell, "impossible", "proven", reason=proof.message, proof=number)
+        number = self._proof_for(cell, problem)
+        if number >= 0:
+            return Answer(cell, "impossible", "proven", reason=self.proofs[number].message, proof=number)
         plan, steps = self._deformed(pose, problem)
         if plan is None:
             try:
                 plan = scenario_plan(scenario, problem, self.task.time_budget)
             except NoMotionExists as error:
                 self.proofs.append(cast("NoMotionProof", error.proof))  # checked by `plan_dock`
+                self._apply(len(self.proofs) - 1, problem)
                 return Answer(cell, "impossible", "proven", reason=str(error), proof=len(self.proofs) - 1)
             except OptdockError as error:
                 return Answer(cell, "not found", "planned", reason=f"{type(error).__name__}: {error}")
@@ -175,6 +183,24 @@ class _Work:
             {"curves": curves_of(plan.path), "durations": law.durations.tolist(), "jerks": law.jerks.tolist()},
             steps=steps,
         )
+
+    def _proof_for(self, cell: int, problem: DockingProblem) -> int:
+        """Return the number of a known proof that holds for a cell, or -1."""
+        if cell in self.separated:
+            return self.separated[cell]
+        for number, proof in enumerate(self.proofs):
+            if check_impossibility(proof, problem):
+                self._apply(number, problem)
+                return number
+        return -1
+
+    def _apply(self, number: int, problem: DockingProblem) -> None:
+        """Enter the cells of the tile for which a proof, which holds for `problem`, also holds."""
+        proof = self.proofs[number]
+        if isinstance(proof, ImpossibilityProof):
+            cells = np.array([cell for cell in self.cells if cell not in self.separated], dtype=np.int64)
+            held = separated_starts(proof, problem, self.task.grid.poses(cells))
+            self.separated.update(dict.fromkeys(cells[held].tolist(), number))
 
     def _deformed(self, pose: FloatArray, problem: DockingProblem) -> tuple[DockPlan | None, int]:
         """Return the cheapest plan along the deformed path of a neighbour, and its number of deformations."""
@@ -242,7 +268,7 @@ def answer_tile(task: SurveyTask, tile: Tile) -> dict[str, object]:
     Returns:
         Plain JSON values: `answers`, the proofs of impossibility, and the passed cells as columns.
     """
-    work = _Work(task, proofs=[impossibility_from_dict(values) for values in tile.proofs])
+    work = _Work(task, tile.cells, proofs=[impossibility_from_dict(values) for values in tile.proofs])
     for answer in tile.motions:
         if answer.motion is not None and answer.price is not None:
             path = path_from_curves(answer.motion["curves"], task.scenario.problem.frame)

@@ -67,7 +67,7 @@ class Verdict(IntEnum):
 
 
 VERDICTS = {"certified": Verdict.CERTIFIED, "impossible": Verdict.IMPOSSIBLE, "not found": Verdict.NOT_FOUND}
-_VERIFIED = 64  # cells per tile for which a proof of impossibility is checked
+_VERIFIED = 512  # cells per tile for which a proof of impossibility is checked
 _TIMED = 64  # motions per case whose rests are timed
 _BETTER = 0.5  # [s] by which the rest of another motion must be cheaper to replace an answer
 # Side of a block as a share of the robot's smaller extent. Motions deformed over this distance are 1 % slower than
@@ -198,7 +198,7 @@ class _Rounds:
         if every.size == 0:
             return
         first = representatives(self.grid, every, component[every], self.room[every] == TIGHT)
-        self._ask("components", [("", Tile(first.tolist()))])
+        self._ask("components", self._tiles(first))
         for cell in first.tolist():
             answer = self.found.asked[cell]
             if answer.verdict != "impossible":

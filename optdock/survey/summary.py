@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["DockSummary"]
 
 
+_MOST_REASONS = 5
+
+
 @dataclass(frozen=True)
 class DockSummary:
     """Summary of one dock.
@@ -35,7 +38,7 @@ class DockSummary:
         p50: Median of the durations [s]; nan without a motion.
         p95: 95th percentile of the durations [s]; nan without a motion.
         margin: 5th percentile of the least clearances beyond the required ones, away from the dock [m]; nan if unknown.
-        reasons: Most frequent reasons of refusals, with the number of their cells.
+        reasons: Most frequent reasons of refusals: verdict, reason, number of cells.
         answers: Number of free cells by method.
         asked: Number of questions.
         cpu_seconds: CPU time [s].
@@ -52,7 +55,7 @@ class DockSummary:
     p50: float
     p95: float
     margin: float
-    reasons: tuple[tuple[str, int], ...]
+    reasons: tuple[tuple[str, str, int], ...]
     answers: dict[str, int]
     asked: int
     cpu_seconds: float
@@ -70,7 +73,8 @@ class DockSummary:
         is_reached = (by_heading == Verdict.CERTIFIED).any(axis=0)
         is_floor = is_free.reshape(answers.grid.shape).any(axis=0)
         sources = answers.source[is_free & (verdict != Verdict.CERTIFIED)].tolist()
-        reasons = collections.Counter(answers.asked[cell].reason for cell in sources if cell in answers.asked)
+        refused = [answers.asked[cell] for cell in sources if cell in answers.asked]
+        reasons = collections.Counter((one.verdict, one.reason) for one in refused)
         goal = task.scenario.problem.goal
         return cls(
             robot,
@@ -84,7 +88,7 @@ class DockSummary:
             p50,
             p95,
             float(np.quantile(margins, 0.05)) if margins else math.nan,
-            tuple(reasons.most_common(3)),
+            tuple((*reason, count) for reason, count in reasons.most_common(_MOST_REASONS)),
             dict(collections.Counter(answers.method[is_free].tolist())),
             len(answers.asked),
             answers.cpu_seconds,
@@ -106,8 +110,8 @@ class DockSummary:
             text += f"; impossible from {_percent(self.impossible / self.free)}"
         if self.not_found:
             text += f"; not found from {_percent(self.not_found / self.free)}, without a proof"
-        first = next((reason for reason, _ in self.reasons if self.impossible), "")
-        return f"{text}: {first}" if first else text
+        first = next((reason for verdict, reason, _ in self.reasons if verdict == "impossible"), "")
+        return f"{text}; {first}" if first else text
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""

@@ -168,13 +168,13 @@ def open_survey(folder: Path, name: str | None = None) -> DockSurvey:
     task, region = _task(surveyed, SurveySettings(**values))
     stored = read_outcomes(folder / "outcomes.jsonl")
 
-    def known(_: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
+    def _recalled(_: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
         for case in cases:
             if case.key not in stored:
                 raise InvalidFile(f"{folder}: the survey is not finished: {case.key} is missing")
             yield stored[case.key]
 
-    answers = survey_dock(task, region, known, name=f"{surveyed.key} ")
+    answers = survey_dock(task, region, _recalled, name=f"{surveyed.key} ")
     return DockSurvey(surveyed, task, answers, DockSummary.of(robot, dock, task, answers))
 
 
