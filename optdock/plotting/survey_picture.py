@@ -107,13 +107,12 @@ def _mark_refusals(axes: Axes, layers: SurveyLayers) -> None:
     x, y = np.meshgrid(layers.x, layers.y)
     closed = layers.impossible.any(axis=0) & ~np.isfinite(layers.seconds).any(axis=0) & ~layers.not_found.any(axis=0)
     if closed.any():
-        from matplotlib.patches import Patch
-
         levels = np.where(closed, 1.0, 0.0)
         if min(levels.shape) > 1:
             axes.contourf(layers.x, layers.y, levels, levels=[0.5, 1.5], colors="none", hatches=["xxx"], zorder=2.0)
         axes.scatter(x[closed], y[closed], s=2.0, color=COLOURS["hot"], zorder=2.1)
-        axes.add_patch(Patch(facecolor="none", edgecolor=COLOURS["hot"], hatch="xxx", label="impossible: proven"))
+        label = "impossible: proven"
+        axes.fill([], [], facecolor="none", edgecolor=COLOURS["hot"], hatch="xxx", label=label)
     some = layers.not_found.any(axis=0)
     if some.any():
         label = "not found for a heading"

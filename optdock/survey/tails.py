@@ -175,7 +175,7 @@ def seconds_from_rest(law: TimeLaw, s: float, end: float, bounds: DriveBounds) -
         fastest = max(float(statistic(speeds[max(first - 1, 0) : join + 1])), 1e-6)
         target = MotionState(float(places[join]), float(speeds[join]), float(accelerations[join]))
         phases = move(MotionState(s), target, DriveBounds(fastest, *(share * bound for bound in bounds[1:])))
-        if phases and _is_slower(TimeLaw(*np.transpose(phases), start_s=s), places, speeds):
+        if phases and _is_slower(TimeLaw(*np.transpose(phases), s), places, speeds):
             return sum(duration for duration, _ in phases) + law.duration - float(times[join])
     return math.nan
 
