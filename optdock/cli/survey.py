@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from optdock.cli.common import METRES, SECONDS, JobsOption, SchedulerOption, VerboseOption, reported, spare, working
+from optdock.cli.common import (
+    METRES,
+    SECONDS,
+    JobsOption,
+    SchedulerOption,
+    VerboseOption,
+    check_picture,
+    reported,
+    spare,
+    working,
+)
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -86,13 +96,15 @@ def survey(  # noqa: PLR0913 - one parameter per option
 def _survey(docks: list[SurveyedDock], settings: SurveySettings, out: Path, workers: Workers) -> None:
     """Survey docks, and print and draw the results."""
     from optdock.reports.report import table
-    from optdock.survey.survey import file_stem, run_survey
+    from optdock.survey.survey import file_stems, run_survey
 
+    check_picture("survey", Path("survey.png"))
+    stems = file_stems(docks)
     with workers:
         found = run_survey(docks, settings, out, workers, working)
     for one in found:
         typer.echo(str(one.summary))
-        _draw(out / f"{file_stem(one.surveyed)}.png", one)
+        _draw(out / f"{stems[one.surveyed.key]}.png", one)
     if len(found) > 1:
         heads = ("dock", "certified %", "floor %", "p95 s", "margin m", "x m", "y m", "yaw rad")
         typer.echo(table([heads, *(_row(one) for one in found)]))
@@ -168,6 +180,7 @@ def _open_cell(folders: list[Path], cell: str, dock: str | None, target: Path) -
 
     from optdock.cli.plan import PlanOutputs, written_failure
     from optdock.config import save_scenario
+    from optdock.deadline import budget_clock
     from optdock.errors import OptdockError
     from optdock.geometry.pose import Pose2
     from optdock.reports.report import plan_rows, table
@@ -176,14 +189,16 @@ def _open_cell(folders: list[Path], cell: str, dock: str | None, target: Path) -
 
     if len(folders) != 1:
         raise InvalidValue("--cell needs one folder of a survey")
-    found = open_survey(folders[0], dock)
+    spare(None, target, target.with_suffix(".yaml"), *(file for file in folders[0].glob("*") if file.is_file()))
     pose = np.array(_numbers("--cell", cell, 3))
+    found = open_survey(folders[0], dock)
     row = int(found.task.grid.cells(pose[None])[0])
     scenario = found.surveyed.scenario
     if row < 0:
         raise InvalidValue(f"--cell: {cell} is outside the surveyed region")
     try:
-        plan = plan_of_cell(found.answers, row, scenario, found.task.time_budget)
+        with budget_clock("counted"):
+            plan = plan_of_cell(found.answers, row, scenario, found.task.time_budget)
     except OptdockError as error:
         start = Pose2.from_sequence(found.task.grid.poses(np.array([row]))[0])
         problem = scenario.problem.starting_at(start)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Box", "SurveyGrid", "room_at"]
 
 _MOST_CELLS = 50_000_000
+_FARTHEST = 2.0**53  # cells: whole numbers are exact up to this one
 _BATCH = 20_000  # poses per query of the spatial index
 
 
@@ -78,6 +79,8 @@ class SurveyGrid:
         if headings < 1:
             raise InvalidValue(f"survey.headings: must be >= 1, got {headings}")
         ends = np.array([[box.left, box.lower], [box.right, box.upper]]) / resolution
+        if np.abs(ends).max() > _FARTHEST:
+            raise InvalidValue(f"survey.region: is too large for cells of {resolution} m, got {box}")
         low, high = np.ceil(ends[0] - 1e-9).astype(int), np.floor(ends[1] + 1e-9).astype(int)
         columns, rows = np.maximum(high - low + 1, 0).tolist()
         return cls((int(low[0]), int(low[1])), (headings, rows, columns), resolution)
@@ -97,9 +100,9 @@ class SurveyGrid:
     def cells(self, poses: FloatArray) -> IntArray:
         """Return the flat indices of the cells that contain poses, Shape (n, 3); -1 outside the grid. Shape (n,)."""
         n, rows, columns = self.shape
-        i = np.rint(poses[:, 0] / self.resolution).astype(np.int64) - self.first[0]
-        j = np.rint(poses[:, 1] / self.resolution).astype(np.int64) - self.first[1]
-        k = np.rint(poses[:, 2] * n / (2.0 * math.pi)).astype(np.int64) % n
+        steps = poses / [self.resolution, self.resolution, 2.0 * math.pi / n]
+        i, j, k = np.clip(np.rint(steps), -_FARTHEST, _FARTHEST).astype(np.int64).T
+        i, j, k = i - self.first[0], j - self.first[1], k % n
         inside = (i >= 0) & (i < columns) & (j >= 0) & (j < rows)
         found: IntArray = np.where(inside, (k * rows + j) * columns + i, -1)
         return found

@@ -172,6 +172,7 @@ def survey_dock(
     rounds.ask_components()
     rounds.ask_blocks()
     rounds.pass_on()
+    rounds.ask_left_blocks()
     rounds.refine()
     rounds.share()
     return rounds.found
@@ -243,6 +244,12 @@ class _Rounds:
                 found.source[cell], found.place[cell] = group.source[kept], group.s[kept]
                 found.start[cell] = np.array(result["poses"])[kept]
 
+    def ask_left_blocks(self) -> None:
+        """Ask the questions of the blocks that only motions pass whose rests answer none of their cells."""
+        expected = self._expected()
+        left = self.questions[expected[self.questions] == Verdict.UNKNOWN]
+        self._ask("blocks left", self._tiles(left))
+
     def refine(self) -> None:
         """Ask for cells where verdicts meet."""
         for number in range(_PASSES):
@@ -254,7 +261,7 @@ class _Rounds:
             self._ask(f"cells {number}", self._tiles(asked))
 
     def share(self) -> None:
-        """Give the cells that are left the answer of the nearest answered cell with the same heading."""
+        """Give the cells that are left the answer of the nearest answered cell of their block."""
         from scipy import spatial
 
         found, apart = self.found, 10.0 * max(self.grid.shape)
@@ -262,9 +269,10 @@ class _Rounds:
         expected = self._expected()
         for verdict in np.unique(expected[left]).tolist():
             cells = left[expected[left] == verdict]
-            known = np.flatnonzero((found.verdict == verdict) & (found.method != "shared"))
+            known = np.flatnonzero((found.verdict == verdict) & (found.method != "shared") & (self.block >= 0))
             places = [
-                np.column_stack(np.unravel_index(some, self.grid.shape)) * [apart, 1.0, 1.0] for some in (known, cells)
+                np.column_stack((self.block[some] * apart, *np.unravel_index(some, self.grid.shape)[1:]))
+                for some in (known, cells)
             ]
             _, nearest = spatial.cKDTree(places[0]).query(places[1])
             source = known[nearest]

@@ -8,6 +8,7 @@ picture and a scenario.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from optdock.config import load_scenario, save_scenario
 from optdock.errors import InvalidFile, InvalidValue
+from optdock.geometry.checked import positive
 from optdock.io.atomic_file import write_text
 from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.plan_file import strict_json
@@ -25,7 +27,7 @@ from optdock.survey.grid import Box, SurveyGrid
 from optdock.survey.questions import SurveyTask
 from optdock.survey.rounds import survey_dock
 from optdock.survey.summary import DockSummary
-from optdock.survey.table import save_table
+from optdock.survey.table import require_parquet, save_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMAT", "DockSurvey", "SurveySettings", "SurveyedDock", "docks_of", "open_survey", "run_survey"]
 
 FORMAT = "optdock-survey/1"
+_LONGEST_STEM = 60  # letters of the name of a file; 240 bytes at most
 
 Progress: TypeAlias = "Callable[[str, int], AbstractContextManager[Callable[[str], None]]]"
 
@@ -113,12 +116,16 @@ def run_survey(
         The docks, the best first: by the share of certified cells, then by `DockSummary.p95`.
 
     Raises:
-        InvalidValue: If there is no dock, or a setting is wrong.
+        InvalidValue: If there is no dock, two docks of a robot have the same name, or a setting is wrong.
         InvalidFile: If the folder belongs to another survey, or a file cannot be written.
         MissingExtra: If pyarrow is not installed.
     """
     if not docks:
         raise InvalidValue("survey: there is no dock")
+    names = [dock.key for dock in docks]
+    if len(set(names)) < len(names):
+        raise InvalidValue(f"survey: docks must have different names, got {', '.join(names)}")
+    require_parquet()
     tasks = [_task(dock, settings) for dock in docks]
     head = run_head(_described(docks, settings), workers)
     found: list[DockSurvey] = []
@@ -128,14 +135,14 @@ def run_survey(
     found.sort(key=lambda one: (-one.summary.share, one.summary.p95))
     save_table(out / "survey.parquet", [(one.surveyed.robot, one.surveyed.dock, one.answers) for one in found])
     rows = [one.summary.as_dict() for one in found]
-    files, maps = {}, dict[int, Path | None]()
+    files = {key: f"{stem}.yaml" for key, stem in file_stems(docks).items()}
+    maps: dict[int, Path | None] = {}
     for one in found:
-        scenario, target = one.surveyed.scenario, out / f"{file_stem(one.surveyed)}.yaml"
+        scenario, target = one.surveyed.scenario, out / files[one.surveyed.key]
         # Docks of one map share the map file of the first of them.
         known = maps.get(id(scenario.problem.costmap))
         written = save_scenario(target, scenario, map_source=known, note=f"dock of a survey, {one.surveyed.key}")
         maps.setdefault(id(scenario.problem.costmap), written[1] if len(written) > 1 else None)
-        files[one.surveyed.key] = target.name
     told = dataclasses.asdict(settings)
     document = {"format": FORMAT, "settings": told, "docks": rows, "scenarios": files, "run": head}
     write_text(out / "survey.json", strict_json(document) + "\n")
@@ -157,15 +164,19 @@ def open_survey(folder: Path, name: str | None = None) -> DockSurvey:
     document: Any = parse_json(read_text(source, MostBytes.JSON))
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InvalidFile(f"{source}: format: must be {FORMAT}")
-    keys = [f"{row['robot']}/{row['dock']}" for row in document["docks"]]
+    try:
+        keys = [f"{row['robot']}/{row['dock']}" for row in document["docks"]]
+        values = dict(document["settings"])
+        values["region"] = None if values["region"] is None else Box(**values["region"])
+        settings, files = SurveySettings(**values), {key: str(document["scenarios"][key]) for key in keys}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidFile(f"{source}: is damaged: {type(error).__name__}: {error}") from None
     fitting = [key for key in keys if name is None or name in (key, key.partition("/")[2])]
     if not fitting or (name is not None and len(fitting) > 1):
         raise InvalidValue(f"dock: must be one of {', '.join(keys)}, got {name}")
     robot, _, dock = fitting[0].partition("/")
-    values = dict(document["settings"])
-    values["region"] = None if values["region"] is None else Box(**values["region"])
-    surveyed = SurveyedDock(robot, dock, load_scenario(folder / document["scenarios"][fitting[0]]))
-    task, region = _task(surveyed, SurveySettings(**values))
+    surveyed = SurveyedDock(robot, dock, load_scenario(folder / files[fitting[0]]))
+    task, region = _task(surveyed, settings)
     stored = read_outcomes(folder / "outcomes.jsonl")
 
     def _recalled(_: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
@@ -178,9 +189,20 @@ def open_survey(folder: Path, name: str | None = None) -> DockSurvey:
     return DockSurvey(surveyed, task, answers, DockSummary.of(robot, dock, task, answers))
 
 
-def file_stem(dock: SurveyedDock) -> str:
-    """Return the name of the files of a dock without suffix."""
-    return "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in f"{dock.robot}_{dock.dock}")
+def file_stems(docks: Iterable[SurveyedDock]) -> dict[str, str]:
+    """Return the names of the files of docks without suffix, by `SurveyedDock.key`; no two of them are equal."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for dock in docks:
+        letters = (letter if letter.isalnum() or letter in "-." else "_" for letter in f"{dock.robot}_{dock.dock}")
+        plain = stem = "".join(letters)[:_LONGEST_STEM]
+        for number in itertools.count(2):
+            if stem.casefold() not in taken:  # some file systems ignore case
+                break
+            stem = f"{plain}-{number}"
+        taken.add(stem.casefold())
+        found[dock.key] = stem
+    return found
 
 
 def _surveyed(
@@ -202,10 +224,13 @@ def _surveyed(
 def _task(dock: SurveyedDock, settings: SurveySettings) -> tuple[SurveyTask, BoolArray]:
     """Return the task of a dock, and the positions in the surveyed region."""
     goal, costmap = dock.scenario.problem.goal, dock.scenario.problem.costmap
-    reach = settings.within
+    reach = positive(settings.within, "survey.within", "m")
+    positive(settings.time_budget, "survey.time_budget", "s")
     box = settings.region or Box(goal.x - reach, goal.y - reach, goal.x + reach, goal.y + reach)
     if costmap is not None:
         (left, lower), (right, upper) = costmap.lower, costmap.upper
+        if not (box.left < right and left < box.right and box.lower < upper and lower < box.upper):
+            raise InvalidValue(f"survey.region: is outside the map, which ends at {costmap.lower} and {costmap.upper}")
         box = Box(max(box.left, left), max(box.lower, lower), min(box.right, right), min(box.upper, upper))
     grid = SurveyGrid.covering(box, settings.resolution, settings.headings)
     inside = grid.within(goal.x, goal.y, math.inf if settings.region is not None else reach)

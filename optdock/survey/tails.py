@@ -13,6 +13,7 @@ The robot accelerates from rest and joins the time law of the original motion, w
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from optdock.io.path_columns import path_from_curves
 from optdock.model.constant_jerk import TimeLaw
+from optdock.model.segments import TURN_RADIUS, TurnSegment
 from optdock.planners.manoeuvres.price import CUSP_PRICE
 from optdock.timing.jerk_phases import DriveBounds, MotionState
 from optdock.timing.ruckig_moves import move
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.model.limits import MotionLimits
+    from optdock.model.path import Path
     from optdock.planning.plan import DockPlan
     from optdock.survey.grid import SurveyGrid
     from optdock.survey.questions import SurveyTask
@@ -38,8 +40,10 @@ __all__ = ["PassedCells", "passed_cells", "seconds_from_rest", "time_rests"]
 
 _SHORTEST = 0.01  # [m] of the first gear of a rest
 _SPACING = 0.02  # [m] between the poses of a path that are assigned to cells
-# Distances [m] after which the robot is to have joined the original motion; the first one that is possible is used.
-_JOINS_AFTER = (0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
+# Distances [m] after which the robot may have joined the original motion; the first place that is possible is used.
+_JOINS_AFTER = np.array((0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 6.0))
+_SAMPLE = 0.02  # [s] between the states of a motion
+_FASTER = (1.02, 0.01)  # factor and [m/s] of the error of interpolation between the states
 _SHARES = (1.0, 0.5)  # of the limits of acceleration and jerk
 
 
@@ -107,8 +111,8 @@ def passed_cells(plan: DockPlan, grid: SurveyGrid) -> PassedCells:
     t = np.linspace(0.0, law.duration, 2 + int(law.duration / 0.02))
     states = law.at(t)
     left = law.duration - np.interp(s, states[:, 0], t) + _launch_loss(np.interp(s, states[:, 0], states[:, 1]), plan)
-    starts = np.array(path.cusps)
-    left += CUSP_PRICE * (starts.size - np.searchsorted(starts, s, side="right"))
+    driven, reverse = _left_to_drive(path, s)
+    left += CUSP_PRICE * (driven - 1) + problem.robot.reverse_price * reverse
     # Of the poses of a visit, the one next to the centre of the cell.
     borders = path.segment_starts[1:]
     to_go = borders[np.minimum(np.searchsorted(borders, s, side="right"), borders.size - 1)] - s
@@ -122,7 +126,18 @@ def passed_cells(plan: DockPlan, grid: SurveyGrid) -> PassedCells:
     found, first = np.unique(cells[inside][order], return_index=True)
     row = inside[order[first]]
     source = grid.cells(problem.start.as_array()[None])
-    return PassedCells(found, np.repeat(source, found.size), s[row], left[row])
+    limits = problem.robot.limits
+    steered = np.array([limits.steering_time_to(bend) for bend in path.curvature_at(s[row]).tolist()])
+    return PassedCells(found, np.repeat(source, found.size), s[row], left[row] + steered)
+
+
+def _left_to_drive(path: Path, s: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the number of segments, except turns in place, that end after `s`, and their length in reverse [m]."""
+    drives = [not isinstance(segment, TurnSegment) for segment in path.segments]
+    is_reverse = np.array([segment.direction < 0 for segment in path.segments])[drives]
+    begins, ends = path.segment_starts[:-1][drives], path.segment_starts[1:][drives]
+    left = np.maximum(ends - np.maximum(begins, s[:, None]), 0.0)
+    return (left > 0.0).sum(axis=1), (left * is_reverse).sum(axis=1)
 
 
 def _launch_loss(speed: FloatArray, plan: DockPlan) -> FloatArray:
@@ -138,44 +153,44 @@ def _launch_loss(speed: FloatArray, plan: DockPlan) -> FloatArray:
     return found
 
 
-def seconds_from_rest(law: TimeLaw, s: float, end: float, limits: MotionLimits) -> float:
+def seconds_from_rest(law: TimeLaw, s: float, end: float, bounds: DriveBounds) -> float:
     """Return the duration [s] of the rest of a motion for a robot that starts at rest at `s`.
 
-    The robot accelerates from rest to a state of the motion, at most as fast as the motion itself drives between `s`
-    and that state, and follows the motion from there. Turning limits are not checked during the acceleration; the
-    certificate of a plan file does so.
+    The robot accelerates from rest to a state of the motion, nowhere faster than the motion itself, and follows the
+    motion from there. Turning limits are not checked during the acceleration; the certificate of a plan file does so.
 
     Args:
         law: Time law of the motion.
         s: Path coordinate of the start [m].
         end: End of the segment of the path that contains `s` [m].
-        limits: Limits of the drive.
+        bounds: Bounds of the drive on this segment.
 
     Returns:
         The duration; nan if the motion cannot be joined within the segment.
     """
-    borders, times = law.states[:, 0], law.times
-    first = int(np.searchsorted(borders, s + 1e-9))
-    until = int(np.searchsorted(borders, end - 1e-9))
-    now = max(first - 1, 0)
-    for after in _JOINS_AFTER:
-        join = min(max(int(np.searchsorted(borders, s + after)), first), until)
-        # The speed reaches its maximum within a phase only if the acceleration changes its sign there.
-        fastest = float(law.at(np.linspace(times[now], times[join], 4 * (join - now) + 1))[:, 1].max())
-        target = MotionState(*law.states[join].tolist())
-        for share in _SHARES:
-            bounds = DriveBounds(
-                max(fastest, 1e-6),
-                share * limits.max_acceleration,
-                share * limits.max_deceleration,
-                share * limits.max_jerk,
-            )
-            phases = move(MotionState(s), target, bounds)
-            if phases is not None:
-                return sum(duration for duration, _ in phases) + law.duration - float(times[join])
-        if join == until:
-            break
+    times = np.union1d(np.arange(0.0, law.duration, _SAMPLE), law.times)
+    places, speeds, accelerations, _ = law.at(times).T
+    first, until = (int(np.searchsorted(places, place)) for place in (s + 1e-9, end - 1e-9))
+    # The motion often becomes slow at the border of a phase, such as the beginning of the speed zone.
+    joins = np.concatenate((np.searchsorted(places, s + _JOINS_AFTER), np.searchsorted(times, law.times), [until]))
+    joins = np.unique(joins[(joins >= first) & (joins <= until)])
+    for statistic, join, share in itertools.product((np.max, np.min), joins.tolist(), _SHARES):
+        fastest = max(float(statistic(speeds[max(first - 1, 0) : join + 1])), 1e-6)
+        target = MotionState(float(places[join]), float(speeds[join]), float(accelerations[join]))
+        phases = move(MotionState(s), target, DriveBounds(fastest, *(share * bound for bound in bounds[1:])))
+        if not phases:
+            continue
+        durations, jerks = np.transpose(phases)
+        if _is_slower(TimeLaw(durations, jerks, s), places, speeds):
+            return sum(duration for duration, _ in phases) + law.duration - float(times[join])
     return math.nan
+
+
+def _is_slower(move_: TimeLaw, places: FloatArray, speeds: FloatArray) -> bool:
+    """Whether a move is nowhere faster than a motion with speeds [m/s] at places [m], Shape (n,) each."""
+    s, v, _, _ = move_.at(np.arange(0.0, move_.duration, _SAMPLE)).T
+    factor, more = _FASTER
+    return bool(np.all(v <= factor * np.interp(s, places, speeds) + more))
 
 
 def time_rests(
@@ -198,14 +213,18 @@ def _timed(task: SurveyTask, motion: Mapping[str, Any], s: FloatArray) -> dict[s
     path, limits = path_from_curves(motion["curves"], problem.frame), problem.robot.limits
     law = TimeLaw(np.array(motion["durations"]), np.array(motion["jerks"]))
     borders = path.segment_starts[1:]
-    ends = borders[np.minimum(np.searchsorted(borders, s, side="right"), borders.size - 1)]
+    drive = DriveBounds(math.inf, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
+    turn = DriveBounds(math.inf, *(TURN_RADIUS * bound for bound in (*limits.turning[1:2], *limits.turning[1:])))
+    turns = [isinstance(segment, TurnSegment) for segment in path.segments]
+    within = np.minimum(np.searchsorted(borders, s, side="right"), borders.size - 1).tolist()
     seconds = [
-        limits.steering_time_to(bend) + seconds_from_rest(law, place, end, limits)
-        for bend, place, end in zip(path.curvature_at(s).tolist(), s.tolist(), ends.tolist(), strict=True)
+        limits.steering_time_to(bend)
+        + seconds_from_rest(law, place, float(borders[segment]), turn if turns[segment] else drive)
+        for bend, place, segment in zip(path.curvature_at(s).tolist(), s.tolist(), within, strict=True)
     ]
-    stops_left = len(path.cusps) - np.searchsorted(path.cusps, s, side="right")
+    driven, _ = _left_to_drive(path, s)
     return {
         "seconds": [one if math.isfinite(one) else None for one in seconds],
         "poses": path.poses_at(s).tolist(),
-        "stops": stops_left.tolist(),
+        "stops": (driven - 1).tolist(),
     }
