@@ -61,18 +61,18 @@ class _Clock:
             self.read = lambda: rate * exact()
 
 
-class _Process:
+class _OfProcess:
     clock = _Clock("wall")
 
 
 def now() -> float:
     """Return the time [s] on the clock of time budgets, from an arbitrary origin."""
-    return _Process.clock.read()
+    return _OfProcess.clock.read()
 
 
 def clock_name() -> ClockName:
     """Return the name of the clock of time budgets."""
-    return _Process.clock.name
+    return _OfProcess.clock.name
 
 
 def set_clock(name: ClockName, rate: float = 1.0) -> None:
@@ -91,7 +91,7 @@ def set_clock(name: ClockName, rate: float = 1.0) -> None:
     """
     if name not in get_args(ClockName) or not (math.isfinite(rate) and rate > 0.0):
         raise ValueError(f"clock: must be one of {', '.join(get_args(ClockName))} with a rate > 0, got {name}, {rate}")
-    _Process.clock = _Clock(name, rate)
+    _OfProcess.clock = _Clock(name, rate)
 
 
 @contextlib.contextmanager
@@ -100,12 +100,12 @@ def budget_clock(name: ClockName, rate: float = 1.0) -> Iterator[None]:
 
     The arguments and errors are those of `set_clock`.
     """
-    before = _Process.clock
+    before = _OfProcess.clock
     set_clock(name, rate)
     try:
         yield
     finally:
-        _Process.clock = before
+        _OfProcess.clock = before
 
 
 class OutOfTime(Exception):
@@ -156,7 +156,7 @@ class Deadline:
         stop: Callable[[], bool] = never_late,
     ) -> None:
         self.seconds, self._stop = seconds, _Latch(stop)
-        self._clock = _Process.clock.read if clock is now else clock
+        self._clock = _OfProcess.clock.read if clock is now else clock
         self._began = self._clock()
 
     @classmethod

@@ -30,7 +30,7 @@ from optdock.runner import Case, Workers, run_cases
 from optdock.survey.dock_places import DockPlace
 from optdock.survey.opened import plan_of_cell
 from optdock.survey.questions import scenario_plan
-from optdock.survey.rounds import Verdict
+from optdock.survey.rounds import CellState
 from optdock.survey.survey import SurveySettings, docks_of, open_survey, run_survey
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-FREE = (Verdict.CERTIFIED, Verdict.IMPOSSIBLE, Verdict.NOT_FOUND)
+FREE = (CellState.CERTIFIED, CellState.IMPOSSIBLE, CellState.NOT_FOUND)
 
 
 def small_survey() -> DockSurvey:
@@ -113,7 +113,7 @@ def report(
 ) -> int:
     """Print the tables; return 1 if a verdict of the survey is refuted."""
     print(f"{found.summary}\n")
-    told = [Verdict(found.answers.verdict[cell]).name for cell in cells]
+    told = [CellState(found.answers.verdict[cell]).name for cell in cells]
     methods = [str(found.answers.method[cell]) for cell in cells]
     pairs = collections.Counter(zip(told, methods, (one["verdict"] for one in results["alone"]), strict=True))
     rows = [(*(name.lower() for name in key), str(count)) for key, count in sorted(pairs.items())]

@@ -14,7 +14,7 @@ from optdock.model.constant_jerk import TimeLaw
 from optdock.model.trajectory import Trajectory
 from optdock.planning.plan import DockPlan
 from optdock.survey.questions import deformed_plan, proven_plan, scenario_plan
-from optdock.survey.rounds import SurveyAnswers, Verdict
+from optdock.survey.rounds import CellState, SurveyAnswers
 from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def plan_of_cell(answers: SurveyAnswers, cell: int, scenario: Scenario, time_bud
     centre = Pose2.from_sequence(answers.grid.poses(np.array([cell]))[0])
     problem = scenario.problem.starting_at(centre)
     source = answers.asked.get(int(answers.source[cell]))
-    _raise_refusal(Verdict(answers.verdict[cell]), answers, source, problem)
+    _raise_refusal(CellState(answers.verdict[cell]), answers, source, problem)
     assert source is not None
     assert source.motion is not None
     path, place = path_from_curves(source.motion["curves"], problem.frame), float(answers.place[cell])
@@ -64,16 +64,16 @@ def plan_of_cell(answers: SurveyAnswers, cell: int, scenario: Scenario, time_bud
     return DockPlan(prove_motion(Trajectory(path, law), problem), path)
 
 
-def _raise_refusal(verdict: Verdict, answers: SurveyAnswers, source: Answer | None, problem: DockingProblem) -> None:
+def _raise_refusal(verdict: CellState, answers: SurveyAnswers, source: Answer | None, problem: DockingProblem) -> None:
     """Raise the error of a cell that is not certified."""
     at = problem.start.brief
-    if verdict is Verdict.OCCUPIED:
+    if verdict is CellState.OCCUPIED:
         raise StartOccupied(f"the robot overlaps or touches an obstacle at {at}")
-    if verdict in (Verdict.OUTSIDE, Verdict.UNKNOWN) or source is None:
+    if verdict in (CellState.OUTSIDE, CellState.UNKNOWN) or source is None:
         raise InvalidValue(f"survey: the cell at {at} is outside the surveyed region")
-    if verdict is Verdict.NOT_FOUND:
+    if verdict is CellState.NOT_FOUND:
         raise NoValidPathCouldBeFound(source.reason)
-    if verdict is Verdict.IMPOSSIBLE:
+    if verdict is CellState.IMPOSSIBLE:
         proof = impossibility_from_dict(answers.proofs[source.proof])
         if not check_impossibility(proof, problem):
             raise CertificationFailed(f"the proof of impossibility does not hold for a start at {at}")

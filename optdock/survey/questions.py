@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan
     from optdock.survey.grid import SurveyGrid
 
-__all__ = ["Answer", "SurveyTask", "Tile", "answer_tile", "deformed_plan", "proven_plan", "scenario_plan"]
+__all__ = ["Answer", "SurveyTask", "SurveyTile", "answer_tile", "deformed_plan", "proven_plan", "scenario_plan"]
 
 _DEFORMED_FROM = 5  # nearest motions that are tried
 _SPACING = 0.1  # [m] between the poses of a motion from which its rest may be deformed
@@ -107,7 +107,7 @@ class SurveyTask(NamedTuple):
     time_budget: float
 
 
-class Tile(NamedTuple):
+class SurveyTile(NamedTuple):
     """Questions of one part of a survey, and known answers near it.
 
     Args:
@@ -262,7 +262,7 @@ def scenario_plan(scenario: Scenario, problem: DockingProblem, time_budget: floa
     )
 
 
-def answer_tile(task: SurveyTask, tile: Tile) -> dict[str, object]:
+def answer_tile(task: SurveyTask, tile: SurveyTile) -> dict[str, object]:
     """Answer the questions of a tile in their order.
 
     Returns:

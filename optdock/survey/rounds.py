@@ -25,7 +25,7 @@ from optdock.geometry.pose import wrap_angles
 from optdock.plotting.survey_picture import SurveyLayers
 from optdock.runner import Case
 from optdock.survey.grid import CLEAR, OCCUPIED, TIGHT, SurveyGrid, room_at
-from optdock.survey.questions import Answer, Tile, answer_tile
+from optdock.survey.questions import Answer, SurveyTile, answer_tile
 from optdock.survey.tails import PassedCells, time_rests
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from optdock.runner import Outcome
     from optdock.survey.questions import SurveyTask
 
-__all__ = ["Spacing", "SurveyAnswers", "Verdict", "survey_dock"]
+__all__ = ["CellState", "Spacing", "SurveyAnswers", "survey_dock"]
 
 RunTiles: TypeAlias = "Callable[[Callable[..., object], Sequence[Case]], Iterator[Outcome]]"
 
@@ -55,8 +55,8 @@ class Spacing(NamedTuple):
         return cls(block, max(_TILE // block, 1) * block)
 
 
-class Verdict(IntEnum):
-    """Verdict on a cell."""
+class CellState(IntEnum):
+    """CellState on a cell."""
 
     OUTSIDE = -1  # of the surveyed region
     UNKNOWN = 0
@@ -66,7 +66,11 @@ class Verdict(IntEnum):
     OCCUPIED = 4
 
 
-VERDICTS = {"certified": Verdict.CERTIFIED, "impossible": Verdict.IMPOSSIBLE, "not found": Verdict.NOT_FOUND}
+VERDICTS = {
+    "certified": CellState.CERTIFIED,
+    "impossible": CellState.IMPOSSIBLE,
+    "not found": CellState.NOT_FOUND,
+}
 _VERIFIED = 512  # cells per tile for which a proof of impossibility is checked
 _TIMED = 64  # motions per case whose rests are timed
 _BETTER = 0.5  # [s] by which the rest of another motion must be cheaper to replace an answer
@@ -84,7 +88,7 @@ class SurveyAnswers:
 
     Attributes:
         grid: The cells.
-        verdict: Verdict of each cell, Shape (cells,).
+        verdict: CellState of each cell, Shape (cells,).
         method: Method of each answer: `planned`, `deformed`, `proven`, `inherited`, `shared` or `measured`, Shape
             (cells,).
         seconds: Duration [s], nan without a motion, Shape (cells,).
@@ -116,7 +120,9 @@ class SurveyAnswers:
         cells = np.flatnonzero(np.broadcast_to(region, grid.shape))
         room = np.full(count, -1)
         room[cells] = room_at(grid.poses(cells), scenario.problem)
-        verdict = np.where(room < 0, Verdict.OUTSIDE, np.where(room == OCCUPIED, Verdict.OCCUPIED, Verdict.UNKNOWN))
+        verdict = np.where(
+            room < 0, CellState.OUTSIDE, np.where(room == OCCUPIED, CellState.OCCUPIED, CellState.UNKNOWN)
+        )
         method = np.where(room == OCCUPIED, "measured", "").astype("<U9")
         nothing, nowhere = np.full(count, np.nan), np.full(count, -1)
         start = grid.poses(np.arange(count))
@@ -131,15 +137,15 @@ class SurveyAnswers:
             for count, first in zip((columns, rows), self.grid.first, strict=True)
         )
         verdict = self.verdict.reshape(shape)
-        impossible, not_found = (verdict == one for one in (Verdict.IMPOSSIBLE, Verdict.NOT_FOUND))
+        impossible, not_found = (verdict == one for one in (CellState.IMPOSSIBLE, CellState.NOT_FOUND))
         return SurveyLayers(
             x=x,
             y=y,
             headings=self.grid.headings,
-            seconds=np.where(verdict == Verdict.CERTIFIED, self.seconds.reshape(shape), np.nan),
+            seconds=np.where(verdict == CellState.CERTIFIED, self.seconds.reshape(shape), np.nan),
             impossible=impossible,
             not_found=not_found,
-            free=(verdict == Verdict.CERTIFIED) | impossible | not_found,
+            free=(verdict == CellState.CERTIFIED) | impossible | not_found,
         )
 
     def record(self, answers: Iterable[Answer]) -> None:
@@ -207,7 +213,7 @@ class _Rounds:
             others = every[(component[every] == component[cell]) & (every != cell)]
             proofs = [self.found.proofs[answer.proof]]
             parts = np.array_split(others, -(-others.size // _VERIFIED)) if others.size else []
-            tiles = ((str(i), Tile(part.tolist(), proofs=proofs)) for i, part in enumerate(parts))
+            tiles = ((str(i), SurveyTile(part.tolist(), proofs=proofs)) for i, part in enumerate(parts))
             self._ask(f"proof of {cell}", tiles)
 
     def ask_blocks(self) -> None:
@@ -216,7 +222,7 @@ class _Rounds:
         for number in range(_STAGES):
             is_passed = np.isin(np.arange(self.questions.size), self.block[self.passed.cell])
             asked = self.questions[~is_passed & (self._stages() == number)]
-            asked = asked[self.found.verdict[asked] == Verdict.UNKNOWN]
+            asked = asked[self.found.verdict[asked] == CellState.UNKNOWN]
             self._ask(f"blocks {number}", self._tiles(asked))
 
     def pass_on(self) -> None:
@@ -224,7 +230,7 @@ class _Rounds:
         found, best = self.found, self.passed
         prices = {cell: answer.price for cell, answer in found.asked.items() if answer.price is not None}
         known = np.array([prices.get(cell, math.inf) for cell in best.cell.tolist()])
-        is_free = np.isin(found.verdict[best.cell], (Verdict.UNKNOWN, Verdict.CERTIFIED))
+        is_free = np.isin(found.verdict[best.cell], (CellState.UNKNOWN, CellState.CERTIFIED))
         best = best.rows(is_free & (best.price < known - _BETTER))
         best = best.rows(np.argsort(best.source, kind="stable"))
         groups = best.by_source()
@@ -239,7 +245,7 @@ class _Rounds:
                 seconds = np.array([math.nan if one is None else one for one in result["seconds"]])
                 kept = np.isfinite(seconds)
                 cell = group.cell[kept]
-                found.verdict[cell], found.method[cell] = Verdict.CERTIFIED, "inherited"
+                found.verdict[cell], found.method[cell] = CellState.CERTIFIED, "inherited"
                 found.seconds[cell], found.stops[cell] = seconds[kept], np.array(result["stops"])[kept]
                 found.source[cell], found.place[cell] = group.source[kept], group.s[kept]
                 found.start[cell] = np.array(result["poses"])[kept]
@@ -247,15 +253,15 @@ class _Rounds:
     def ask_left_blocks(self) -> None:
         """Ask the questions of the blocks that only motions pass whose rests answer none of their cells."""
         expected = self._expected()
-        left = self.questions[expected[self.questions] == Verdict.UNKNOWN]
+        left = self.questions[expected[self.questions] == CellState.UNKNOWN]
         self._ask("blocks left", self._tiles(left))
 
     def refine(self) -> None:
         """Ask for cells where verdicts meet."""
         for number in range(_PASSES):
             expected = self._expected()
-            meets = meeting(expected.reshape(self.grid.shape)).ravel() | (expected == Verdict.IMPOSSIBLE)
-            asked = np.flatnonzero(meets & (self.found.verdict == Verdict.UNKNOWN))
+            meets = meeting(expected.reshape(self.grid.shape)).ravel() | (expected == CellState.IMPOSSIBLE)
+            asked = np.flatnonzero(meets & (self.found.verdict == CellState.UNKNOWN))
             if asked.size == 0:
                 break
             self._ask(f"cells {number}", self._tiles(asked))
@@ -265,7 +271,7 @@ class _Rounds:
         from scipy import spatial
 
         found, apart = self.found, 10.0 * max(self.grid.shape)
-        left = np.flatnonzero((found.verdict == Verdict.UNKNOWN) & (self.block >= 0))
+        left = np.flatnonzero((found.verdict == CellState.UNKNOWN) & (self.block >= 0))
         expected = self._expected()
         for verdict in np.unique(expected[left]).tolist():
             cells = left[expected[left] == verdict]
@@ -280,7 +286,7 @@ class _Rounds:
             for column in (found.seconds, found.stops, found.source, found.place, found.start):
                 column[cells] = column[source]
 
-    def _ask(self, stage: str, tiles: Iterable[tuple[str, Tile]]) -> None:
+    def _ask(self, stage: str, tiles: Iterable[tuple[str, SurveyTile]]) -> None:
         """Let the questions of tiles be answered, and enter the answers."""
         listed = list(tiles)
         cases = [Case(f"{self.name}{stage} {key}".rstrip(), (tile,)) for key, tile in listed]
@@ -316,7 +322,7 @@ class _Rounds:
         across = [[[0] * 3] * 3, [[0, 1, 0], [1, 1, 1], [0, 1, 0]], [[0] * 3] * 3]  # not to other headings
         block, count = np.full(self.room.size, -1), 0
         for room in (CLEAR, TIGHT):
-            open_ = (self.room == room) & (self.found.verdict == Verdict.UNKNOWN)
+            open_ = (self.room == room) & (self.found.verdict == CellState.UNKNOWN)
             spread[place] = open_.reshape(self.grid.shape)
             labels, more = ndimage.label(spread, structure=across)
             block = np.where(open_, labels[place].ravel() - 1 + count, block)
@@ -332,7 +338,7 @@ class _Rounds:
         found: IntArray = np.where(self.room[self.questions] == TIGHT, 3, stage)
         return found
 
-    def _tiles(self, cells: IntArray) -> Iterator[tuple[str, Tile]]:
+    def _tiles(self, cells: IntArray) -> Iterator[tuple[str, SurveyTile]]:
         """Yield the tiles of cells; neighbouring headings follow each other, beginning with that of the dock."""
         k, j, i = np.unravel_index(cells, self.grid.shape)
         turned = np.abs(wrap_angles(self.grid.headings[k] - self.task.scenario.problem.goal.yaw))
@@ -344,7 +350,7 @@ class _Rounds:
             near = known.get(int(tile[part[0]]), [])
             motions = [one for one in near if one.motion is not None]
             proofs = [self.found.proofs[number] for number in sorted({one.proof for one in near if one.proof >= 0})]
-            yield str(int(tile[part[0]])), Tile(cells[part].tolist(), motions, proofs)
+            yield str(int(tile[part[0]])), SurveyTile(cells[part].tolist(), motions, proofs)
 
     def _answers_by_tile(self) -> dict[int, list[Answer]]:
         asked = sorted(self.found.asked)
@@ -358,8 +364,8 @@ class _Rounds:
     def _expected(self) -> IntArray:
         """Return the verdict of each cell; that of its block if the cell has none."""
         is_passed = np.isin(np.arange(self.questions.size), self.block[self.found.method == "inherited"])
-        of_block = np.where(is_passed, Verdict.CERTIFIED, self.found.verdict[self.questions])
-        unknown = (self.found.verdict == Verdict.UNKNOWN) & (self.block >= 0)
+        of_block = np.where(is_passed, CellState.CERTIFIED, self.found.verdict[self.questions])
+        unknown = (self.found.verdict == CellState.UNKNOWN) & (self.block >= 0)
         if not unknown.any():
             return self.found.verdict
         found: IntArray = np.where(unknown, of_block[np.maximum(self.block, 0)], self.found.verdict)
@@ -420,7 +426,7 @@ def meeting(verdict: IntArray) -> BoolArray:
     """
     from scipy import ndimage
 
-    counts = np.isin(verdict, (Verdict.CERTIFIED, Verdict.IMPOSSIBLE, Verdict.NOT_FOUND))
+    counts = np.isin(verdict, (CellState.CERTIFIED, CellState.IMPOSSIBLE, CellState.NOT_FOUND))
     beside = np.pad(verdict, ((1, 1), (0, 0), (0, 0)), mode="wrap")
     inside = np.pad(counts, ((1, 1), (0, 0), (0, 0)), mode="wrap")
     largest = ndimage.maximum_filter(np.where(inside, beside, -1), 3, mode="nearest")[1:-1]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optdock.survey.rounds import Verdict
+from optdock.survey.rounds import CellState
 
 if TYPE_CHECKING:
     from optdock.survey.questions import SurveyTask
@@ -64,15 +64,15 @@ class DockSummary:
     def of(cls, robot: str, dock: str, task: SurveyTask, answers: SurveyAnswers) -> DockSummary:
         """Return the summary of answers."""
         verdict = answers.verdict
-        is_free = np.isin(verdict, (Verdict.CERTIFIED, Verdict.IMPOSSIBLE, Verdict.NOT_FOUND))
-        counts = {one: int((verdict == one).sum()) for one in Verdict}
-        seconds = answers.seconds[(verdict == Verdict.CERTIFIED) & np.isfinite(answers.seconds)]
+        is_free = np.isin(verdict, (CellState.CERTIFIED, CellState.IMPOSSIBLE, CellState.NOT_FOUND))
+        counts = {one: int((verdict == one).sum()) for one in CellState}
+        seconds = answers.seconds[(verdict == CellState.CERTIFIED) & np.isfinite(answers.seconds)]
         p50, p95 = np.quantile(seconds, (0.5, 0.95)).tolist() if seconds.size else (math.nan, math.nan)
         margins = [one.margin for one in answers.asked.values() if one.margin is not None]
         by_heading = verdict.reshape(answers.grid.shape)
-        is_reached = (by_heading == Verdict.CERTIFIED).any(axis=0)
+        is_reached = (by_heading == CellState.CERTIFIED).any(axis=0)
         is_floor = is_free.reshape(answers.grid.shape).any(axis=0)
-        sources = answers.source[is_free & (verdict != Verdict.CERTIFIED)].tolist()
+        sources = answers.source[is_free & (verdict != CellState.CERTIFIED)].tolist()
         refused = [answers.asked[cell] for cell in sources if cell in answers.asked]
         reasons = collections.Counter((one.verdict, one.reason) for one in refused)
         goal = task.scenario.problem.goal
@@ -81,9 +81,9 @@ class DockSummary:
             dock,
             (goal.x, goal.y, goal.yaw),
             int(is_free.sum()),
-            counts[Verdict.CERTIFIED],
-            counts[Verdict.IMPOSSIBLE],
-            counts[Verdict.NOT_FOUND],
+            counts[CellState.CERTIFIED],
+            counts[CellState.IMPOSSIBLE],
+            counts[CellState.NOT_FOUND],
             float(is_reached.sum() / max(is_floor.sum(), 1)),
             p50,
             p95,

@@ -21,7 +21,7 @@ import numpy as np
 
 from optdock.errors import MissingExtra
 from optdock.io.atomic_file import replacing
-from optdock.survey.rounds import Verdict
+from optdock.survey.rounds import CellState
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 __all__ = ["columns_of", "require_parquet", "save_table"]
 
 _NAMES = {
-    Verdict.CERTIFIED: "certified",
-    Verdict.IMPOSSIBLE: "impossible",
-    Verdict.NOT_FOUND: "not_found",
-    Verdict.OCCUPIED: "occupied",
+    CellState.CERTIFIED: "certified",
+    CellState.IMPOSSIBLE: "impossible",
+    CellState.NOT_FOUND: "not_found",
+    CellState.OCCUPIED: "occupied",
 }
 
 
@@ -55,7 +55,7 @@ def require_parquet() -> Any:  # noqa: ANN401 - a module without types
 
 def columns_of(answers: SurveyAnswers) -> dict[str, FloatArray | IntArray | list[str]]:
     """Return the columns of the surveyed cells, without robot and dock."""
-    rows = np.flatnonzero(answers.verdict > Verdict.UNKNOWN)
+    rows = np.flatnonzero(answers.verdict > CellState.UNKNOWN)
     row_of = np.full(answers.verdict.size, -1)
     row_of[rows] = np.arange(rows.size)
     centre, start, source = answers.grid.poses(rows), answers.start[rows], answers.source[rows]
@@ -63,7 +63,7 @@ def columns_of(answers: SurveyAnswers) -> dict[str, FloatArray | IntArray | list
     refused = {cell: one.reason for cell, one in answers.asked.items() if one.verdict != "certified"}
     return {
         **dict(zip(("x", "y", "yaw"), centre.T, strict=True)),
-        "verdict": [_NAMES[Verdict(value)] for value in answers.verdict[rows].tolist()],
+        "verdict": [_NAMES[CellState(value)] for value in answers.verdict[rows].tolist()],
         "answer": answers.method[rows].tolist(),
         "seconds": answers.seconds[rows],
         "cusps": np.where(np.isfinite(answers.seconds[rows]), answers.stops[rows], -1),

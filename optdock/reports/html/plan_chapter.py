@@ -58,7 +58,7 @@ _AROUND = 0.5  # [m] around a path whose scene is not known
 _FAR = 2.0  # [m]: largest drawn clearance
 
 
-class _Motion(NamedTuple):
+class _DrawnMotion(NamedTuple):
     """Motion along the horizontal axis of the figures: time, or arc length without a trajectory."""
 
     clock: str
@@ -169,18 +169,18 @@ def thinned(count: int, most: int = _MOST_POINTS) -> FloatArray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
-def _motion(plan: PlanFile, path: Path, problem: DockingProblem | None) -> _Motion:
+def _motion(plan: PlanFile, path: Path, problem: DockingProblem | None) -> _DrawnMotion:
     columns = plan.trajectory
     limits = None if problem is None else problem.robot.limits
     if columns is None:
         s = np.linspace(0.0, path.length, _MOST_POINTS)
         bent = MotionPanel(LIMITS["max_curvature"].label, path.curvature_at(s), *_bounds(limits, "max_curvature", s))
         panels = [bent, *_steering(limits, path, s)]
-        return _Motion("arc length", "m", s, path.poses_at(s), panels, s, np.array(path.cusps))
+        return _DrawnMotion("arc length", "m", s, path.poses_at(s), panels, s, np.array(path.cusps))
     rows = thinned(columns.t.size)
     at, poses = columns.t[rows], np.column_stack((columns.x, columns.y, columns.yaw))[rows]
     if plan.time_law is None or problem is None or limits is None:
-        return _Motion("time", "s", at, poses, _sampled_panels(columns, limits, rows), at, np.zeros(0))
+        return _DrawnMotion("time", "s", at, poses, _sampled_panels(columns, limits, rows), at, np.zeros(0))
     trajectory = Trajectory(path, plan.time_law)
     begun = np.concatenate(([0.0], np.cumsum(plan.time_law.durations)))
     times = np.union1d(
@@ -188,7 +188,7 @@ def _motion(plan: PlanFile, path: Path, problem: DockingProblem | None) -> _Moti
     )
     panels = motion_panels(trajectory, limits, problem.dock.approach, times)
     panels += _steering(limits, path, trajectory.sample_at(times).s)
-    return _Motion("time", "s", at, poses, panels, times + at[0], trajectory.cusp_times + at[0])
+    return _DrawnMotion("time", "s", at, poses, panels, times + at[0], trajectory.cusp_times + at[0])
 
 
 def _sampled_panels(columns: TrajectoryColumns, limits: MotionLimits | None, rows: FloatArray) -> list[MotionPanel]:
@@ -219,7 +219,7 @@ def _steering(limits: MotionLimits | None, path: Path, s: FloatArray) -> list[Mo
     return [MotionPanel(label, angle, np.full(s.size, -most), np.full(s.size, most))]
 
 
-def _motion_charts(motion: _Motion) -> Iterator[Chart]:
+def _motion_charts(motion: _DrawnMotion) -> Iterator[Chart]:
     for panel in motion.panels:
         name, _, unit = panel.label.partition(" [")
         unit = unit.rstrip("]")
@@ -239,7 +239,7 @@ def _motion_charts(motion: _Motion) -> Iterator[Chart]:
         yield Chart(name.capitalize(), f"{text}.", figure, legend)
 
 
-def _readouts(motion: _Motion) -> Iterator[Readout]:
+def _readouts(motion: _DrawnMotion) -> Iterator[Readout]:
     """Generate the values of all quantities at the poses of the player."""
     for panel in motion.panels:
         name, _, unit = panel.label.partition(" [")
@@ -315,7 +315,7 @@ def shown_view(problem: DockingProblem | None, paths: Sequence[FloatArray]) -> V
 
 
 def _scene(
-    plan: PlanFile, problem: DockingProblem | None, motion: _Motion | None, tightest: FloatArray | None
+    plan: PlanFile, problem: DockingProblem | None, motion: _DrawnMotion | None, tightest: FloatArray | None
 ) -> Iterator[Chart]:
     drawn = [each for each in (plan.raw_path, plan.path) if each is not None]
     place = _refused(plan, problem, drawn[-1] if drawn else None)

@@ -164,7 +164,7 @@ def _count_rows(cells: SurveyColumns, pairs: Sequence[tuple[str, str]]) -> Itera
         yield dock, robot, str(len(mine.x)), *map(str, counts), median
 
 
-class _Grid(NamedTuple):
+class _CellGrid(NamedTuple):
     """Verdicts and durations as arrays, Shape (headings, rows, columns); the verdict of missing cells is empty."""
 
     x: FloatArray
@@ -174,14 +174,14 @@ class _Grid(NamedTuple):
     seconds: FloatArray
 
 
-def _grid(cells: SurveyColumns) -> _Grid:
+def _grid(cells: SurveyColumns) -> _CellGrid:
     (x, i), (y, j), (yaw, k) = (
         np.unique(np.round(column, _DIGITS), return_inverse=True) for column in (cells.x, cells.y, cells.yaw)
     )
     shape = yaw.size, y.size, x.size
     verdict, seconds = np.full(shape, "", dtype="U16"), np.full(shape, np.nan)
     verdict[k, j, i], seconds[k, j, i] = cells.verdict, cells.seconds
-    return _Grid(x, y, yaw, verdict, seconds)
+    return _CellGrid(x, y, yaw, verdict, seconds)
 
 
 def _map(cells: SurveyColumns, name: str, problem: DockingProblem | None, *, by_heading: bool) -> Chart:

@@ -1,5 +1,7 @@
 """A small room with a dock, and surveys of it."""
 
+from unittest import mock
+
 import optdock as od
 from optdock.config import Scenario
 from optdock.errors import OptdockError
@@ -12,7 +14,7 @@ from optdock.runner import Workers, run_cases
 from optdock.survey.dock_places import DockPlace
 from optdock.survey.grid import Box
 from optdock.survey.opened import plan_of_cell
-from optdock.survey.rounds import survey_dock
+from optdock.survey.rounds import Spacing, survey_dock
 from optdock.survey.survey import SurveySettings, _task, docks_of
 
 GOAL = Pose2(3.6, 1.5, 0.0)
@@ -41,7 +43,12 @@ CAR = {"robot": {"drive": Drive.ACKERMANN}, "limits": {"wheelbase": 0.2, "max_st
 
 
 def asked(given, region, resolution=0.25, headings=4, time_budget=0.1, run=None, **options):
-    """Return task and answers of a survey of a region, without files."""
+    """Return task and answers of a survey of a region, without files, in blocks of four cells."""
+    with mock.patch.object(Spacing, "of", return_value=Spacing(4, 16)):
+        return _asked(given, region, resolution, headings, time_budget, run, **options)
+
+
+def _asked(given, region, resolution, headings, time_budget, run, **options):
     (dock,) = docks_of("robot", given, [DockPlace("dock", given.problem.goal)])
     settings = SurveySettings(region=Box(*region), resolution=resolution, headings=headings, time_budget=time_budget)
     task, inside = _task(dock, settings)

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from optdock.deadline import budget_clock
 from optdock.errors import InvalidValue, StartOccupied
+from optdock.geometry.footprint import Footprint
 from optdock.runner import Outcome
-from optdock.survey import rounds
 from optdock.survey.grid import SurveyGrid
 from optdock.survey.opened import plan_of_cell
 from optdock.survey.questions import answer_tile
-from optdock.survey.rounds import Spacing, Verdict, connected, meeting, representatives
+from optdock.survey.rounds import CellState, Spacing, connected, meeting, representatives
 from optdock.survey.tails import time_rests
 from tests.optdock.survey.scenes import asked, box, judged, scenario
 
-OUTCOMES = {Verdict.CERTIFIED: "certified", Verdict.IMPOSSIBLE: "impossible"}
-FREE = (Verdict.CERTIFIED, Verdict.IMPOSSIBLE, Verdict.NOT_FOUND)
+OUTCOMES = {CellState.CERTIFIED: "certified", CellState.IMPOSSIBLE: "impossible"}
+FREE = (CellState.CERTIFIED, CellState.IMPOSSIBLE, CellState.NOT_FOUND)
 CLOSED = box(1.9, 0, 2.1, 3)
 NARROW = (box(1.9, 0, 2.1, 1.4), box(1.9, 1.65, 2.1, 3))  # 0.25 m for a robot of 0.3 m
 
@@ -48,7 +48,7 @@ def test_answers_open_as_plan_files_with_the_same_verdict(surveys, name, tmp_pat
     with budget_clock("counted"):
         for method, cells in methods.items():
             for cell in cells[:: -(-len(cells) // 9)]:
-                verdict = Verdict(answers.verdict[cell])
+                verdict = CellState(answers.verdict[cell])
                 assert judged(answers, cell, given_, task.time_budget, tmp_path) == OUTCOMES[verdict], (method, cell)
 
 
@@ -57,15 +57,15 @@ def test_cells_behind_a_wall_are_impossible_and_no_shared_answer_crosses_it(surv
     _, task, answers = surveys[name]
     x = task.grid.poses(np.arange(answers.verdict.size))[:, 0]
     is_free = np.isin(answers.verdict, FREE)
-    assert set(answers.verdict[is_free & (x < 2.0)].tolist()) == {Verdict.IMPOSSIBLE}
-    assert set(answers.verdict[is_free & (x > 2.0)].tolist()) == {Verdict.CERTIFIED}
-    assert set(answers.verdict[~is_free].tolist()) == {Verdict.OCCUPIED}
+    assert set(answers.verdict[is_free & (x < 2.0)].tolist()) == {CellState.IMPOSSIBLE}
+    assert set(answers.verdict[is_free & (x > 2.0)].tolist()) == {CellState.CERTIFIED}
+    assert set(answers.verdict[~is_free].tolist()) == {CellState.OCCUPIED}
 
 
 def test_an_answer_belongs_to_its_cell(surveys):
     """Motions begin in the cell; a shared answer is that of another cell of the same heading and block."""
     _, task, answers = surveys["open"]
-    for cell in np.flatnonzero(answers.verdict == Verdict.CERTIFIED).tolist():
+    for cell in np.flatnonzero(answers.verdict == CellState.CERTIFIED).tolist():
         begins = int(task.grid.cells(answers.start[cell][None])[0])
         assert math.isfinite(answers.seconds[cell])
         k, j, i = np.unravel_index([cell, begins], task.grid.shape)
@@ -119,7 +119,7 @@ def test_every_free_cell_has_a_verdict_even_if_no_rest_can_be_timed():
     """A motion passes all cells, so that no other question is asked; then the processes fail."""
     every = range(2 * 9 * 12)
     _, _, answers = drawn(lambda cell: "certified", passes=dict.fromkeys(every, every))
-    assert set(answers.verdict.tolist()) <= {Verdict.CERTIFIED, Verdict.OCCUPIED}
+    assert set(answers.verdict.tolist()) <= {CellState.CERTIFIED, CellState.OCCUPIED}
     assert not (answers.method == "").any()
 
 
@@ -130,9 +130,9 @@ def test_the_cells_next_to_another_verdict_are_asked():
     is_shared = (answers.method == "shared").reshape(task.grid.shape)
     assert is_shared.any()
     column = np.arange(12)
-    free = by_cell != Verdict.OCCUPIED
-    assert np.all(by_cell[free & (column < 7)] == Verdict.CERTIFIED)
-    assert np.all(by_cell[free & (column >= 7)] == Verdict.NOT_FOUND)
+    free = by_cell != CellState.OCCUPIED
+    assert np.all(by_cell[free & (column < 7)] == CellState.CERTIFIED)
+    assert np.all(by_cell[free & (column >= 7)] == CellState.NOT_FOUND)
     assert not is_shared[meeting(by_cell)].any()
 
 
@@ -150,7 +150,7 @@ def test_a_failed_case_is_not_found_with_its_error():
         return (Outcome(case.key, error="ValueError: planted") for case in cases)
 
     _, answers = asked(scenario(), REGION, headings=2, run=broken)
-    assert set(answers.verdict.tolist()) <= {Verdict.NOT_FOUND, Verdict.OCCUPIED}
+    assert set(answers.verdict.tolist()) <= {CellState.NOT_FOUND, CellState.OCCUPIED}
     assert {one.reason for one in answers.asked.values()} == {"ValueError: planted"}
 
 
@@ -159,14 +159,14 @@ def test_nothing_is_asked_where_nothing_is_free():
     full = scenario(box(0.0, 0.0, 3.0, 3.0))
     task, answers = asked(full, (0.5, 0.5, 2.0, 2.0), run=run)
     assert run.cases == []
-    assert set(answers.verdict.tolist()) == {Verdict.OCCUPIED}
+    assert set(answers.verdict.tolist()) == {CellState.OCCUPIED}
     with pytest.raises(StartOccupied, match="overlaps or touches an obstacle"):
         plan_of_cell(answers, 0, full, task.time_budget)
 
 
 def test_a_cell_outside_the_region_has_no_plan(surveys):
     given_, task, answers = surveys["open"]
-    outside = np.full_like(answers.verdict, Verdict.OUTSIDE)
+    outside = np.full_like(answers.verdict, CellState.OUTSIDE)
     known, answers.verdict = answers.verdict, outside
     try:
         with pytest.raises(InvalidValue, match="outside the surveyed region"):
@@ -175,9 +175,11 @@ def test_a_cell_outside_the_region_has_no_plan(surveys):
         answers.verdict = known
 
 
-def test_tiles_are_multiples_of_blocks():
-    assert rounds._SPACING.tile % rounds._SPACING.block == 0
-    assert Spacing().tile == rounds._SPACING.tile
+@pytest.mark.parametrize(("resolution", "block"), [(0.1, 4), (0.2, 2), (0.25, 1), (1.0, 1), (0.01, 40)])
+def test_tiles_are_multiples_of_blocks(resolution, block):
+    found = Spacing.of(Footprint.rectangle(0.45, 0.45, 0.6), resolution)
+    assert found.block == block
+    assert found.tile % found.block == 0
 
 
 ANY = st.tuples(st.integers(1, 4), st.integers(1, 5), st.integers(1, 5), st.integers(0, 2**32), st.floats(0.2, 0.9))

@@ -14,7 +14,7 @@ from optdock.geometry.pose import Pose2
 from optdock.runner import Workers
 from optdock.survey.dock_places import DockPlace
 from optdock.survey.grid import Box
-from optdock.survey.rounds import Verdict
+from optdock.survey.rounds import CellState
 from optdock.survey.summary import _percent
 from optdock.survey.survey import SurveySettings, docks_of, file_stems, open_survey, run_survey
 from optdock.survey.table import columns_of
@@ -121,11 +121,11 @@ def test_a_survey_with_a_missing_outcome_is_not_finished(whole, tmp_path):
 def test_the_columns_are_the_answers(whole):
     folder, found = whole
     answers, table = found.answers, table_of(folder)
-    rows = np.flatnonzero(answers.verdict > Verdict.UNKNOWN)
+    rows = np.flatnonzero(answers.verdict > CellState.UNKNOWN)
     assert set(table["robot"]) == {"robot"}
     assert set(table["dock"]) == {"dock"}
     assert np.array_equal(np.column_stack([table[name] for name in ("x", "y", "yaw")]), answers.grid.poses(rows))
-    assert [Verdict[name.upper()] for name in table["verdict"]] == answers.verdict[rows].tolist()
+    assert [CellState[name.upper()] for name in table["verdict"]] == answers.verdict[rows].tolist()
     assert table["answer"] == answers.method[rows].tolist()
     assert np.array_equal(table["seconds"], answers.seconds[rows], equal_nan=True)
     for row, (verdict, seconds, cusps) in enumerate(
@@ -162,7 +162,7 @@ def test_the_numbers_of_the_summary_are_those_of_the_table(whole):
     assert row["asked"] == len(found.answers.asked)
     assert row["sentence"] == str(found.summary)
     assert f"certified from {100 * row['share']:.1f} % of {row['free']} free start poses" in row["sentence"]
-    assert f"impossible from {100 * row['impossible'] / row['free']:.1f} %: " in row["sentence"]
+    assert f"impossible from {100 * row['impossible'] / row['free']:.1f} %; " in row["sentence"]
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_only_all_cells_are_100_percent(share, text):
 
 def test_the_sentence_without_motions(whole):
     _, found = whole
-    changed = dataclasses.replace(found.summary, certified=0, impossible=0, not_found=60, free=60)
+    changed = dataclasses.replace(found.summary, certified=0, impossible=0, not_found=60, free=60, reasons=())
     assert str(changed) == (
         "robot, dock: certified from 0.0 % of 60 free start poses; not found from 100.0 %, without a proof"
     )
