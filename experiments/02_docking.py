@@ -32,7 +32,12 @@ if TYPE_CHECKING:
 WORLDS = ("field", "field, outliers", "field, dead band")
 METHODS = (("Nav2's law", "nav2"), ("executor", "nav2"), ("executor", "wider"))
 RATE, FIRST_SEED = 50.0, 20_000_000  # [Hz]; other seeds than those of `python -m experiments.docking`
-COLUMNS = {"across, mm": "cross", "yaw, degrees": "yaw", "along, mm": "along", "time, s": "duration"}
+COLUMNS = {
+    "across, mm, median": "cross",
+    "yaw, degrees, median": "yaw",
+    "along, mm, median": "along",
+    "time, s, median": "duration",
+}
 SIZE = (10.0, 3.8)
 
 
@@ -82,7 +87,7 @@ def groups(rows: Sequence[Row]) -> dict[tuple[str, str, str], list[Row]]:
 
 def report(rows: Sequence[Row]) -> Report:
     """Return one line per group; sound if the executor neither collides nor reports a false docking."""
-    lines = [("world", "method", "starts", "good", "false", "collisions", *(f"{name}, median" for name in COLUMNS))]
+    lines = [("world", "method", "starts", "good", "false", "collisions", *COLUMNS)]
     for key, group in groups(rows).items():
         docked, false = [row for row in group if row.is_docked], sum(row.is_docked and not row.is_good for row in group)
         medians = [median_interval([getattr(row, column) for row in docked]) for column in COLUMNS.values()]
@@ -117,7 +122,7 @@ def draw(figure: Figure, rows: Sequence[Row]) -> None:
         for axes, (name, column) in zip(others, list(COLUMNS.items())[:2], strict=True):
             values = np.sort([getattr(row, column) for row in docked])
             axes.step(values, 100.0 * np.arange(1, len(values) + 1) / max(1, len(values)), where="post", color=colour)
-            axes.set_xlabel(f"error {name}")
+            axes.set_xlabel(f"error {name.removesuffix(', median')}")
     left.set_xlabel("good dockings, % (95 % interval)")
     for axes, most in zip(others, (10.0, 1.5), strict=True):
         axes.axvline(most, color=COLOURS["limit"], linestyle=":")

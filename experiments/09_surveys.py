@@ -92,7 +92,7 @@ def report(rows: Sequence[Row]) -> Report:
     closing = (
         f"Of {free:,} free start poses within {WITHIN:g} m of {len(rows)} docks, {percent(certified, free)} % have a "
         f"certified motion, {percent(impossible, free)} % are proven impossible and {percent(lost, free)} % have "
-        f"neither; {asked:,} poses were asked, and the others are answered by their motions."
+        f"neither; {asked:,} poses were asked, and their answers cover the others."
     )
     return Report(table(lines), closing)
 

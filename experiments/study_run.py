@@ -145,7 +145,7 @@ def share_interval(count: int, total: int) -> tuple[float, float]:
 def share_text(count: int, total: int) -> str:
     """Return a count with the percentages of its interval, such as `3/10 (10.8-60.3 %)`."""
     low, high = share_interval(count, total)
-    return f"{count}/{total} ({100.0 * low:.3g}-{100.0 * high:.3g} %)" if total else "-"
+    return f"{count}/{total} ({100.0 * low:.1f}-{100.0 * high:.1f} %)" if total else "-"
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float, float]:

@@ -81,6 +81,20 @@ def shares_of(text: str) -> tuple[float, float, float]:
     return 100.0 * count / total, low, high
 
 
+def draw_dockings(axes: Axes, rows: list[dict[str, str]]) -> None:
+    """Draw the share of good dockings of every world, method and distribution of starts, with its interval."""
+    for y, row in enumerate(reversed(rows)):
+        middle, low, high = shares_of(row["good"])
+        colour = COLOURS["path" if row["method"] == "executor" else "goal"]
+        axes.plot([low, high], [y, y], color=colour, linewidth=1.2)
+        axes.plot([middle], [y], "o", color=colour, markersize=4)
+    names = [f"{row['world']}: {row['method']}, {row['starts']} starts" for row in reversed(rows)]
+    axes.set_yticks(range(len(rows)), names)
+    axes.set_xlim(-1.0, 101.0)
+    axes.set_xlabel("good dockings [%], 95 % interval")
+    axes.grid(axis="x", alpha=0.25)
+
+
 def draw_budgets(axes: Axes, rows: list[dict[str, str]]) -> None:
     """Draw the share of certified calls over the time budget, with its interval."""
     budgets = [float(row["budget, ms"]) for row in rows]
@@ -113,6 +127,7 @@ def draw_successes(axes: Axes, rows: list[dict[str, str]]) -> None:
 
 CHARTS = {
     "budgets": (draw_budgets, "python experiments/04_budgets.py", 2.2),
+    "dockings": (draw_dockings, "python experiments/02_docking.py", 2.4),
     "successes": (draw_successes, "python experiments/08_successes_refuted.py", 2.4),
     "calls": (draw_calls, "python -m experiments.manoeuvres", 4.2),
     "contact": (draw_contact, "python experiments/05_contact_forces.py --scale 4", 1.7),
