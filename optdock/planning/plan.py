@@ -53,7 +53,7 @@ class Tightest(NamedTuple):
 
 
 def tightest_place(
-    path: Path, problem: DockingProblem, start_relief: float = 0.0, step: float = 0.01
+    path: Path, problem: DockingProblem, start_relief: float = 0.0, step: float = 0.01, within: float = _FAR
 ) -> Tightest | None:
     """Return the place of `DockPlan.tightest` on any path.
 
@@ -62,6 +62,7 @@ def tightest_place(
         problem: The problem.
         start_relief: `start_relief` of the certificate of the path [m].
         step: Distance between the samples [m].
+        within: Largest distance of obstacles that are considered [m].
     """
     s, required = np.arange(0.0, path.length, step), problem.clearance.required
     poses = path.poses_at(s)
@@ -71,9 +72,9 @@ def tightest_place(
     s, poses = s[required_here >= required], poses[required_here >= required]
     if not s.size or not len(problem.all_obstacles):
         return None
-    clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
+    clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within)
     k = int(np.argmin(clearances))
-    if not clearances[k] < _FAR:
+    if not clearances[k] < within:
         return None
     return Tightest(float(clearances[k] - required), float(s[k]), problem.all_obstacles.name_of(int(rows[k])))
 
@@ -191,18 +192,19 @@ class DockPlan:
         """Name of the coordinate frame of all poses."""
         return self.path.frame
 
-    def tightest(self, step: float = 0.01) -> Tightest | None:
+    def tightest(self, step: float = 0.01, within: float = _FAR) -> Tightest | None:
         """Return the sampled pose with the least clearance beyond the required one, away from the start and the dock.
 
-        Only poses at which the whole clearance is required, and obstacles nearer than 2 m, are considered.
+        Only poses at which the whole clearance is required are considered.
 
         Args:
             step: Distance between the samples [m].
+            within: Largest distance of obstacles that are considered [m].
 
         Returns:
             The place; None if there is no such pose.
         """
-        return tightest_place(self.path, self.problem, self.certificate.start_relief, step)
+        return tightest_place(self.path, self.problem, self.certificate.start_relief, step, within)
 
     def as_file(self, period: float = DEFAULT_PERIOD) -> PlanFile:
         """Return the content of the plan file, with the trajectory sampled at most every `period` [s].

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from optdock.deadline import Deadline
+from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.errors import NoMotionExists, OptdockError
 from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.impossibility import (
@@ -55,7 +55,7 @@ _DEFORMED_FROM = 5  # nearest motions that are tried
 _SPACING = 0.1  # [m] between the poses of a motion from which its rest may be deformed
 _FARTHEST = 1.5  # [m] of a neighbour; a step of 22.5 degrees counts as `_TURN` metres
 _TURN = 0.5 / (math.pi / 8.0)  # [m/rad]
-_MARGIN_STEP = 0.1  # [m] between the samples of `Answer.margin`
+_MARGIN = 0.1, 0.5  # [m]: distance between the samples of `Answer.margin`, and largest margin that is measured
 _MOST_STEPS = 6  # deformations one after the other; then a motion is planned again
 # A deformed motion may cost this much more than that of the neighbour, as a factor and in seconds; then it is planned
 # anew. 0.4 m at 0.3 m/s take 1.3 s.
@@ -72,8 +72,8 @@ class Answer(NamedTuple):
         seconds: Duration of the motion [s]; None without a motion.
         cusps: Number of stops on the way.
         price: Price by which motions are compared [s], see `DockPlan.price`; None without a motion.
-        margin: Least clearance beyond the required one, away from start and dock [m], at sampled poses; None without
-            such a pose, see `DockPlan.tightest`.
+        margin: Least clearance beyond the required one, away from start and dock [m], at sampled poses; None if no
+            obstacle is near, see `DockPlan.tightest`.
         reason: Reason of a refusal; stage of the guess of a planned motion.
         motion: Curves of the path, and durations and jerks of the phases; None unless certified.
         proof: Index of the proof among the proofs of the tile; -1 unless impossible.
@@ -170,7 +170,7 @@ class _Work:
                 return Answer(cell, "not found", "planned", reason=f"{type(error).__name__}: {error}")
         self.known.append(_Known.of(plan.path, plan.price, steps, problem.dock.final_straight))
         self.passed.append(passed_cells(plan, self.task.grid))
-        law, tightest = plan.trajectory.time_law, plan.tightest(_MARGIN_STEP)
+        law, tightest = plan.trajectory.time_law, plan.tightest(*_MARGIN)
         return Answer(
             cell,
             "certified",
@@ -275,7 +275,8 @@ def answer_tile(task: SurveyTask, tile: SurveyTile) -> dict[str, object]:
             last = task.scenario.problem.dock.final_straight
             work.known.append(_Known.of(path, answer.price, answer.steps, last))
     poses = task.grid.poses(np.asarray(tile.cells, dtype=np.int64))
-    answers = [work.answer(cell, pose) for cell, pose in zip(tile.cells, poses, strict=True)]
+    with garbage_collection_paused():
+        answers = [work.answer(cell, pose) for cell, pose in zip(tile.cells, poses, strict=True)]
     return {
         "answers": [answer._asdict() for answer in answers],
         "proofs": [proof.as_dict() for proof in work.proofs],

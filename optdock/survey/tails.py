@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from optdock.survey.grid import SurveyGrid
     from optdock.survey.questions import SurveyTask
 
-__all__ = ["PassedCells", "passed_cells", "seconds_from_rest", "time_rests"]
+__all__ = ["LawSamples", "PassedCells", "passed_cells", "seconds_from_rest", "time_rests"]
 
 _SHORTEST = 0.01  # [m] of the first gear of a rest
 _SPACING = 0.02  # [m] between the poses of a path that are assigned to cells
@@ -153,14 +153,35 @@ def _launch_loss(speed: FloatArray, plan: DockPlan) -> FloatArray:
     return found
 
 
-def seconds_from_rest(law: TimeLaw, s: float, end: float, bounds: DriveBounds) -> float:
+class LawSamples(NamedTuple):
+    """A time law, sampled at its borders and between them.
+
+    `times`: Shape (n,) [s]. `places`, `speeds`, `accelerations`: states at these times, Shape (n,). `borders`: rows of
+    the borders of phases.
+    """
+
+    times: FloatArray
+    places: FloatArray
+    speeds: FloatArray
+    accelerations: FloatArray
+    borders: IntArray
+
+    @classmethod
+    def of(cls, law: TimeLaw) -> LawSamples:
+        """Return the samples of a law."""
+        times = np.union1d(np.arange(0.0, law.duration, _SAMPLE), law.times)
+        places, speeds, accelerations, _ = law.at(times).T
+        return cls(times, places, speeds, accelerations, np.searchsorted(times, law.times))
+
+
+def seconds_from_rest(law: LawSamples, s: float, end: float, bounds: DriveBounds) -> float:
     """Return the duration [s] of the rest of a motion for a robot that starts at rest at `s`.
 
     The robot accelerates from rest to a state of the motion, nowhere faster than the motion itself, and follows the
     motion from there. Turning limits are not checked during the acceleration; the certificate of a plan file does so.
 
     Args:
-        law: Time law of the motion.
+        law: Samples of the time law of the motion.
         s: Path coordinate of the start [m].
         end: End of the segment of the path that contains `s` [m].
         bounds: Bounds of the drive on this segment.
@@ -168,11 +189,10 @@ def seconds_from_rest(law: TimeLaw, s: float, end: float, bounds: DriveBounds) -
     Returns:
         The duration; nan if the motion cannot be joined within the segment.
     """
-    times = np.union1d(np.arange(0.0, law.duration, _SAMPLE), law.times)
-    places, speeds, accelerations, _ = law.at(times).T
+    times, places, speeds, accelerations, borders = law
     first, until = (int(np.searchsorted(places, place)) for place in (s + 1e-9, end - 1e-9))
     # The motion often becomes slow at the border of a phase, such as the beginning of the speed zone.
-    joins = np.concatenate((np.searchsorted(places, s + _JOINS_AFTER), np.searchsorted(times, law.times), [until]))
+    joins = np.concatenate((np.searchsorted(places, s + _JOINS_AFTER), borders, [until]))
     joins = np.unique(joins[(joins >= first) & (joins <= until)])
     for statistic, join, share in itertools.product((np.max, np.min), joins.tolist(), _SHARES):
         fastest = max(float(statistic(speeds[max(first - 1, 0) : join + 1])), 1e-6)
@@ -182,7 +202,7 @@ def seconds_from_rest(law: TimeLaw, s: float, end: float, bounds: DriveBounds) -
             continue
         durations, jerks = np.transpose(phases)
         if _is_slower(TimeLaw(durations, jerks, s), places, speeds):
-            return sum(duration for duration, _ in phases) + law.duration - float(times[join])
+            return float(durations.sum() + times[-1] - times[join])
     return math.nan
 
 
@@ -211,7 +231,7 @@ def time_rests(
 def _timed(task: SurveyTask, motion: Mapping[str, Any], s: FloatArray) -> dict[str, list[Any]]:
     problem = task.scenario.problem
     path, limits = path_from_curves(motion["curves"], problem.frame), problem.robot.limits
-    law = TimeLaw(np.array(motion["durations"]), np.array(motion["jerks"]))
+    law = LawSamples.of(TimeLaw(np.array(motion["durations"]), np.array(motion["jerks"])))
     borders = path.segment_starts[1:]
     drive = DriveBounds(math.inf, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
     turn = DriveBounds(math.inf, *(TURN_RADIUS * bound for bound in (*limits.turning[1:2], *limits.turning[1:])))
