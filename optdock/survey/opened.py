@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["plan_of_cell"]
 
+_PATIENCE = 10.0  # times as long as for a question of the survey, because there is one cell
+
 
 def plan_of_cell(answers: SurveyAnswers, cell: int, scenario: Scenario, time_budget: float) -> DockPlan:
     """Return the certified plan of a cell.
@@ -54,7 +56,7 @@ def plan_of_cell(answers: SurveyAnswers, cell: int, scenario: Scenario, time_bud
     method, rest = answers.method[cell], path.piece(place) if place > 0.0 else path
     if method == "shared":
         moved = deformed_plan(rest, problem, scenario, time_budget)
-        return moved or scenario_plan(scenario, problem, time_budget)
+        return moved or scenario_plan(scenario, problem, _PATIENCE * time_budget)
     if method == "inherited":
         plan = proven_plan(rest, problem.starting_at(rest.start), scenario, time_budget)
         if plan is None:

@@ -194,6 +194,8 @@ def seconds_from_rest(law: LawSamples, s: float, end: float, bounds: DriveBounds
     # The motion often becomes slow at the border of a phase, such as the beginning of the speed zone.
     joins = np.concatenate((np.searchsorted(places, s + _JOINS_AFTER), borders, [until]))
     joins = np.unique(joins[(joins >= first) & (joins <= until)])
+    # Without a limit of the jerk, a speed v is reached after v^2 / 2 A.
+    joins = joins[speeds[joins] ** 2 <= 2.0 * bounds.acceleration * (places[joins] - s) + 1e-9]
     for statistic, join, share in itertools.product((np.max, np.min), joins.tolist(), _SHARES):
         fastest = max(float(statistic(speeds[max(first - 1, 0) : join + 1])), 1e-6)
         target = MotionState(float(places[join]), float(speeds[join]), float(accelerations[join]))
