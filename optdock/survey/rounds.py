@@ -76,7 +76,7 @@ _TIMED = 64  # motions per case whose rests are timed
 _BETTER = 0.5  # [s] by which the rest of another motion must be cheaper to replace an answer
 # Side of a block as a share of the robot's smaller extent. Motions deformed over this distance are 1 % slower than
 # those planned anew, and four of five can be certified.
-_BLOCK = 0.67
+_BLOCK = 0.84
 _TILE = 16  # cells along the side of a tile: some hundred questions, seconds of work
 _STAGES = 4  # of the questions of blocks: motions of a stage may pass the blocks of later ones
 _PASSES = 3  # rounds of questions where verdicts meet

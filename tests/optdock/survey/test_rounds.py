@@ -175,7 +175,7 @@ def test_a_cell_outside_the_region_has_no_plan(surveys):
         answers.verdict = known
 
 
-@pytest.mark.parametrize(("resolution", "block"), [(0.1, 4), (0.2, 2), (0.25, 1), (1.0, 1), (0.01, 40)])
+@pytest.mark.parametrize(("resolution", "block"), [(0.1, 5), (0.2, 2), (0.25, 2), (1.0, 1), (0.01, 50)])
 def test_tiles_are_multiples_of_blocks(resolution, block):
     found = Spacing.of(Footprint.rectangle(0.45, 0.45, 0.6), resolution)
     assert found.block == block
