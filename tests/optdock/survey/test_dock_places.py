@@ -22,9 +22,7 @@ def in_room(station=STATION, direction="forward", move=Pose2(0, 0, 0), obstacles
     problem = scenario(station=station, direction=direction).problem
     walls = [transform_points(move.as_array()[None], np.array(one, dtype=float))[0] for one in (*ROOM, *obstacles)]
     goal = move @ problem.goal
-    return dataclasses.replace(
-        problem, obstacles=walls, start=goal, dock=dataclasses.replace(problem.dock, pose=goal)
-    )
+    return dataclasses.replace(problem, obstacles=walls, start=goal, dock=dataclasses.replace(problem.dock, pose=goal))
 
 
 def inside(places, move=Pose2(0, 0, 0)):
@@ -93,9 +91,7 @@ def test_only_docks_in_the_region_with_consecutive_names():
     every = along_walls(problem, 0.5)
     some = along_walls(problem, 0.5, Box(0.0, 0.0, 4.0, 1.0))
     assert [one.name for one in some] == [f"wall {k + 1}" for k in range(len(some))]
-    assert {one.pose for one in some} == {
-        one.pose for one in every if 0 <= one.pose.x <= 4 and 0 <= one.pose.y <= 1
-    }
+    assert {one.pose for one in some} == {one.pose for one in every if 0 <= one.pose.x <= 4 and 0 <= one.pose.y <= 1}
 
 
 def test_walls_that_are_too_short_have_no_dock():
