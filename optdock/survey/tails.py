@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan
     from optdock.survey.grid import SurveyGrid
     from optdock.survey.questions import SurveyTask
+    from optdock.timing.jerk_phases import Phases
 
 __all__ = ["PassedCells", "passed_cells", "seconds_from_rest", "time_rests"]
 
@@ -175,9 +176,14 @@ def seconds_from_rest(law: TimeLaw, s: float, end: float, bounds: DriveBounds) -
         fastest = max(float(statistic(speeds[max(first - 1, 0) : join + 1])), 1e-6)
         target = MotionState(float(places[join]), float(speeds[join]), float(accelerations[join]))
         phases = move(MotionState(s), target, DriveBounds(fastest, *(share * bound for bound in bounds[1:])))
-        if phases and _is_slower(TimeLaw(*np.transpose(phases), s), places, speeds):
+        if phases and _is_slower(_law_of(phases, s), places, speeds):
             return sum(duration for duration, _ in phases) + law.duration - float(times[join])
     return math.nan
+
+
+def _law_of(phases: Phases, s: float) -> TimeLaw:
+    durations, jerks = np.transpose(phases)
+    return TimeLaw(durations, jerks, s)
 
 
 def _is_slower(move_: TimeLaw, places: FloatArray, speeds: FloatArray) -> bool:

@@ -15,17 +15,18 @@ from optdock.survey.grid import Box
 from tests.optdock.survey.scenes import BACK_STATION, ROOM, STATION, scenario
 
 BEHIND = 0.01 + 0.002  # [m] between the back of the station and the wall
+HERE = Pose2(0, 0, 0)
 SEAM = 1e-3  # [m]: error of the outline
 
 
-def in_room(station=STATION, direction="forward", move=Pose2(0, 0, 0), obstacles=()):
+def in_room(station=STATION, direction="forward", move=HERE, obstacles=()):
     problem = scenario(station=station, direction=direction).problem
     walls = [transform_points(move.as_array()[None], np.array(one, dtype=float))[0] for one in (*ROOM, *obstacles)]
     goal = move @ problem.goal
     return dataclasses.replace(problem, obstacles=walls, start=goal, dock=dataclasses.replace(problem.dock, pose=goal))
 
 
-def inside(places, move=Pose2(0, 0, 0)):
+def inside(places, move=HERE):
     """Return the poses of docks inside the room, in the frame of the room. Shape (n, 3)."""
     found = [one.pose.in_frame_of(move).as_array() for one in places]
     return np.array([pose for pose in found if 0 < pose[0] < 4 and 0 < pose[1] < 3]).reshape(-1, 3)

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-import os
 import sys
 
 import numpy as np
@@ -89,10 +88,10 @@ def test_a_killed_survey_continues_with_the_same_rows(whole, tmp_path, share):
 
 def test_another_task_does_not_continue_a_survey(whole):
     folder, _ = whole
-    before = os.listdir(folder)
+    before = sorted(folder.iterdir())
     with pytest.raises(InvalidFile, match="another task"):
         surveyed(folder, settings=dataclasses.replace(SETTINGS, time_budget=0.2))
-    assert os.listdir(folder) == before
+    assert sorted(folder.iterdir()) == before
 
 
 def test_a_survey_is_opened_with_the_same_answers(whole, tmp_path):
