@@ -1,7 +1,7 @@
 """Compare the answers of a survey with those of cells that are asked alone, in verdict, duration and CPU time.
 
     optdock survey scenario.yaml --within 8 --out survey
-    python -m experiments.benchmarks survey survey --sample 1000
+    python -m experiments.benchmarks survey --folder survey --sample 1000
 
 For each sampled cell `plan_dock` is called alone, with the time budget and the clock of the survey, and the answer of
 the survey is opened as a plan file, which `optdock certify` must accept.
@@ -84,9 +84,7 @@ def opened(found: DockSurvey, cell: int) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables. Return 1 if a verdict of the survey is refuted."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "folder", type=Path, nargs="?", help="folder of a finished survey (default: one of a small hall)"
-    )
+    parser.add_argument("--folder", type=Path, help="folder of a finished survey (default: one of a small hall)")
     parser.add_argument("--dock", help="name of the dock (default: the best)")
     parser.add_argument("--sample", type=int, default=1000, help="number of cells (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample (default: %(default)s)")

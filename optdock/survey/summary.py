@@ -36,6 +36,7 @@ class DockSummary:
         p95: 95th percentile of the durations [s]; nan without a motion.
         margin: 5th percentile of the least clearances beyond the required ones, away from the dock [m]; nan if unknown.
         reasons: Most frequent reasons of refusals, with the number of their cells.
+        obstruction: Most frequent reason for which cells are impossible; empty if none is.
         answers: Number of free cells by method.
         asked: Number of questions.
         cpu_seconds: CPU time [s].
@@ -53,6 +54,7 @@ class DockSummary:
     p95: float
     margin: float
     reasons: tuple[tuple[str, int], ...]
+    obstruction: str
     answers: dict[str, int]
     asked: int
     cpu_seconds: float
@@ -71,6 +73,8 @@ class DockSummary:
         is_floor = is_free.reshape(answers.grid.shape).any(axis=0)
         sources = answers.source[is_free & (verdict != Verdict.CERTIFIED)].tolist()
         reasons = collections.Counter(answers.asked[cell].reason for cell in sources if cell in answers.asked)
+        proven = answers.source[verdict == Verdict.IMPOSSIBLE].tolist()
+        obstructions = collections.Counter(answers.asked[cell].reason for cell in proven)
         goal = task.scenario.problem.goal
         return cls(
             robot,
@@ -85,6 +89,7 @@ class DockSummary:
             p95,
             float(np.quantile(margins, 0.05)) if margins else math.nan,
             tuple(reasons.most_common(3)),
+            next((reason for reason, _ in obstructions.most_common(1)), ""),
             dict(collections.Counter(answers.method[is_free].tolist())),
             len(answers.asked),
             answers.cpu_seconds,
@@ -102,12 +107,12 @@ class DockSummary:
         text = f"{name}: certified from {_percent(self.share)} of {self.free} free start poses"
         if self.certified:
             text += f", in {self.p50:.1f} s in the median, 95 % within {self.p95:.1f} s"
-        if self.impossible:
-            text += f"; impossible from {_percent(self.impossible / self.free)}"
         if self.not_found:
             text += f"; not found from {_percent(self.not_found / self.free)}, without a proof"
-        first = next((reason for reason, _ in self.reasons if self.impossible), "")
-        return f"{text}: {first}" if first else text
+        if self.impossible:
+            text += f"; impossible from {_percent(self.impossible / self.free)}"
+            text += f": {self.obstruction}" if self.obstruction else ""
+        return text
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""

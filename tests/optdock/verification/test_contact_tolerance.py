@@ -156,7 +156,7 @@ def test_accepted_contact_does_not_reach_the_core():
 
 
 @given(st.integers(0, 2**32))
-@settings(max_examples=15)
+@settings(max_examples=5)
 def test_cached_cores_give_the_clearance_of_a_single_pose(seed):
     """Poses near each other share a core, also at the borders of its lattice; a subset has cores of its own."""
     random = np.random.default_rng(seed)
@@ -164,7 +164,7 @@ def test_cached_cores_give_the_clearance_of_a_single_pose(seed):
     corner = lattice * random.integers(-3, 4) + random.choice([0.0, 1e-9, -1e-9, 0.4 * lattice])
     seams = np.concatenate(([corner], corner + np.cumsum(random.uniform(0.02, 0.4, 6))))
     walls = [box(0.0, low, 1.0, high) for low, high in itertools.pairwise(seams)]
-    footprint = needle(random.uniform(2.0, 60.0))
+    footprint = needle(random.uniform(0.1, 2.0))  # shallow in each wall
     depths = random.choice([0.0, 0.5e-6, 1.5e-6, 1e-4], 8)
     poses = np.column_stack((depths - 0.3, random.choice(seams, 8), np.zeros(8)))
     every = ObstacleSet.from_polygons(walls)
