@@ -38,7 +38,16 @@ if TYPE_CHECKING:
     from optdock.runner import Case, Outcome, Workers
     from optdock.survey.rounds import SurveyAnswers
 
-__all__ = ["FORMAT", "DockSurvey", "SurveySettings", "SurveyedDock", "docks_of", "open_survey", "run_survey"]
+__all__ = [
+    "FORMAT",
+    "DockSurvey",
+    "SurveySettings",
+    "SurveyedDock",
+    "docks_of",
+    "file_stems",
+    "open_survey",
+    "run_survey",
+]
 
 FORMAT = "optdock-survey/1"
 _LONGEST_STEM = 60  # letters of the name of a file; 240 bytes at most
@@ -176,13 +185,13 @@ def open_survey(folder: Path, name: str | None = None) -> DockSurvey:
     task, region = _task(surveyed, settings)
     stored = read_outcomes(folder / "outcomes.jsonl")
 
-    def known(_: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
+    def _known(_: Callable[..., object], cases: Sequence[Case]) -> Iterator[Outcome]:
         for case in cases:
             if case.key not in stored:
                 raise InvalidFile(f"{folder}: the survey is not finished: {case.key} is missing")
             yield stored[case.key]
 
-    answers = survey_dock(task, region, known, name=f"{surveyed.key} ")
+    answers = survey_dock(task, region, _known, name=f"{surveyed.key} ")
     return DockSurvey(surveyed, task, answers, DockSummary.of(robot, dock, task, answers))
 
 
