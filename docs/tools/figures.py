@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,11 @@ from optdock.plotting.canvas import COLOURS
 from optdock.plotting.marker_picture import draw_marker_array
 from optdock.ros import plan_markers
 from optdock.ros.bag import bag_types
+from optdock.runner import Workers
 from optdock.simulation import Actuation, DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
+from optdock.survey.dock_places import DockPlace
+from optdock.survey.grid import Box
+from optdock.survey.survey import SurveySettings, docks_of, run_survey
 from optdock.timing.forward_backward import forward_backward_pass
 from optdock.timing.jerk_phases import MotionState
 from optdock.timing.path_limits import ReferenceBounds, limits_along
@@ -233,6 +238,27 @@ def draw_markers(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a
     axes.legend(**_LEGEND)
 
 
+def draw_survey(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a problem of its own
+    """Draw the least duration at every position of a room, and the positions from which no motion exists."""
+    scenario = od.load_scenario(ASSETS.parents[1] / "examples" / "data" / "room.yaml")
+    given, settings = scenario.problem, SurveySettings(region=Box(0.0, 0.0, 5.0, 3.0), resolution=0.125, headings=8)
+    docks = list(docks_of("robot", scenario, [DockPlace("dock", given.goal)]))
+    with tempfile.TemporaryDirectory() as folder, Workers(clock="counted") as workers:
+        layers = run_survey(docks, settings, Path(folder), workers)[0].answers.layers()
+    for shape in given.all_obstacles.vertices:
+        axes.fill(*shape.T, color="#888888", linewidth=0)
+    with np.errstate(invalid="ignore"):
+        least = np.where(np.isfinite(layers.seconds), layers.seconds, np.inf).min(axis=0)
+    drawn = axes.pcolormesh(layers.x, layers.y, np.ma.masked_invalid(least), cmap="viridis_r", rasterized=True)
+    axes.figure.colorbar(drawn, ax=axes, label="least duration [s]")
+    j, i = np.nonzero(layers.impossible.any(axis=0) & ~np.isfinite(least))
+    axes.plot(layers.x[i], layers.y[j], "x", color=COLOURS["hot"], markersize=3, label="impossible, proven")
+    outline = transform_points(given.goal.as_array()[None], given.robot.footprint.vertices)[0]
+    axes.fill(*outline.T, facecolor="none", edgecolor=COLOURS["goal"], linewidth=1.4, label="docked robot")
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", xlim=(-0.2, 5.2), ylim=(-0.2, 3.2))
+    axes.legend(**_LEGEND)
+
+
 FIGURES: dict[str, tuple[Callable[[Axes, od.DockPlan], None], float]] = {
     "taper": (draw_taper, 2.5),
     "swept": (draw_swept, 3.4),
@@ -240,6 +266,7 @@ FIGURES: dict[str, tuple[Callable[[Axes, od.DockPlan], None], float]] = {
     "behind": (draw_behind, 3.6),
     "no-way": (draw_no_way, 4.2),
     "markers": (draw_markers, 4.9),
+    "survey": (draw_survey, 3.6),
 }
 """Drawing function, and height [inch]."""
 

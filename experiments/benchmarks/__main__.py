@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def benchmarks() -> dict[str, Callable[[list[str]], None]]:
+def benchmarks() -> dict[str, Callable[[list[str]], int | None]]:
     """Return the benchmarks by name."""
     names = [module.name for module in pkgutil.iter_modules(package.__path__) if module.name != "__main__"]
     modules = {name: importlib.import_module(f"{package.__name__}.{name}") for name in names}
@@ -45,9 +45,7 @@ def run(arguments: list[str]) -> int:
         print(f"usage: python -m {package.__name__} [NAME ...] | NAME OPTIONS", file=sys.stderr)
         print(f"names: {', '.join(known)}; got {' '.join(arguments)}", file=sys.stderr)
         return 2
-    for name in names or known:
-        known[name](options)
-    return 0
+    return max(known[name](options) or 0 for name in names or known)
 
 
 if __name__ == "__main__":

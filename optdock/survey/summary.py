@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["DockSummary"]
 
 
-_MOST_REASONS = 5
-
-
 @dataclass(frozen=True)
 class DockSummary:
     """Summary of one dock.
@@ -38,7 +35,8 @@ class DockSummary:
         p50: Median of the durations [s]; nan without a motion.
         p95: 95th percentile of the durations [s]; nan without a motion.
         margin: 5th percentile of the least clearances beyond the required ones, away from the dock [m]; nan if unknown.
-        reasons: Most frequent reasons of refusals: verdict, reason, number of cells.
+        reasons: Most frequent reasons of refusals, with the number of their cells.
+        obstruction: Most frequent reason for which cells are impossible; empty if none is.
         answers: Number of free cells by method.
         asked: Number of questions.
         cpu_seconds: CPU time [s].
@@ -55,7 +53,8 @@ class DockSummary:
     p50: float
     p95: float
     margin: float
-    reasons: tuple[tuple[str, str, int], ...]
+    reasons: tuple[tuple[str, int], ...]
+    obstruction: str
     answers: dict[str, int]
     asked: int
     cpu_seconds: float
@@ -73,8 +72,9 @@ class DockSummary:
         is_reached = (by_heading == CellState.CERTIFIED).any(axis=0)
         is_floor = is_free.reshape(answers.grid.shape).any(axis=0)
         sources = answers.source[is_free & (verdict != CellState.CERTIFIED)].tolist()
-        refused = [answers.asked[cell] for cell in sources if cell in answers.asked]
-        reasons = collections.Counter((one.verdict, one.reason) for one in refused)
+        reasons = collections.Counter(answers.asked[cell].reason for cell in sources if cell in answers.asked)
+        proven = answers.source[verdict == CellState.IMPOSSIBLE].tolist()
+        obstructions = collections.Counter(answers.asked[cell].reason for cell in proven)
         goal = task.scenario.problem.goal
         return cls(
             robot,
@@ -88,7 +88,8 @@ class DockSummary:
             p50,
             p95,
             float(np.quantile(margins, 0.05)) if margins else math.nan,
-            tuple((*reason, count) for reason, count in reasons.most_common(_MOST_REASONS)),
+            tuple(reasons.most_common(3)),
+            next((reason for reason, _ in obstructions.most_common(1)), ""),
             dict(collections.Counter(answers.method[is_free].tolist())),
             len(answers.asked),
             answers.cpu_seconds,
@@ -106,12 +107,12 @@ class DockSummary:
         text = f"{name}: certified from {_percent(self.share)} of {self.free} free start poses"
         if self.certified:
             text += f", in {self.p50:.1f} s in the median, 95 % within {self.p95:.1f} s"
-        if self.impossible:
-            text += f"; impossible from {_percent(self.impossible / self.free)}"
         if self.not_found:
             text += f"; not found from {_percent(self.not_found / self.free)}, without a proof"
-        first = next((reason for verdict, reason, _ in self.reasons if verdict == "impossible"), "")
-        return f"{text}; {first}" if first else text
+        if self.impossible:
+            text += f"; impossible from {_percent(self.impossible / self.free)}"
+            text += f": {self.obstruction}" if self.obstruction else ""
+        return text
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""

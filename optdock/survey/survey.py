@@ -38,7 +38,16 @@ if TYPE_CHECKING:
     from optdock.runner import Case, Outcome, Workers
     from optdock.survey.rounds import SurveyAnswers
 
-__all__ = ["FORMAT", "DockSurvey", "SurveySettings", "SurveyedDock", "docks_of", "open_survey", "run_survey"]
+__all__ = [
+    "FORMAT",
+    "DockSurvey",
+    "SurveySettings",
+    "SurveyedDock",
+    "docks_of",
+    "file_stems",
+    "open_survey",
+    "run_survey",
+]
 
 FORMAT = "optdock-survey/1"
 _LONGEST_STEM = 60  # letters of the name of a file; 240 bytes at most

@@ -121,3 +121,25 @@ def test_percentiles_and_tables(monkeypatch):
     lines = str(Table("A title", ("name", "n"), (("first", 1.23456), ("second", math.nan)), "note")).splitlines()
     assert lines[1:3] == ["## A title", "note"]
     assert [line.split()[-1] for line in lines[-2:]] == ["1.23", "-"]
+
+
+def test_survey_benchmark(run, tmp_path, capsys):
+    """A sample of a small survey; a verdict that is made up is refuted."""
+    from experiments.benchmarks import survey as benchmark
+    from optdock.runner import Workers
+    from optdock.survey.grid import Box
+    from optdock.survey.rounds import Verdict
+    from optdock.survey.survey import SurveySettings, docks_of, run_survey
+    from tests.optdock.survey.scenes import box, scenario
+
+    given = scenario(box(1.9, 0, 2.1, 3))
+    settings = SurveySettings(region=Box(1.5, 1.25, 2.5, 1.75), resolution=0.25, headings=2, time_budget=0.1)
+    with Workers(1, clock="counted", prepare=None) as workers:
+        (found,) = run_survey(list(docks_of("r", given, [("d", given.problem.goal)])), settings, tmp_path, workers)
+    done = run("survey", "--folder", str(tmp_path), "--sample", "8", "--jobs", "1")
+    assert done.returncode == 0, done.stdout
+    assert "refuted: 0 impossible cells with a plan, 0 answers whose plan file differs,\nof 8 (" in done.stdout
+    cell = int(np.flatnonzero(found.answers.verdict == Verdict.IMPOSSIBLE)[0])
+    results = {"alone": [{"verdict": "CERTIFIED", "seconds": 9.0}], "opened": [benchmark.opened(found, cell)]}
+    assert benchmark.report(found, [cell], results, {"alone": 1.0}, 1) == 1
+    assert "refuted: 1 impossible cells with a plan" in capsys.readouterr().out

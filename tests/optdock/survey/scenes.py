@@ -2,6 +2,9 @@
 
 from unittest import mock
 
+import numpy as np
+import pytest
+
 import optdock as od
 from optdock.config import Scenario
 from optdock.errors import OptdockError
@@ -68,6 +71,10 @@ def judged(answers, cell, given, time_budget, folder):
     try:
         plan = plan_of_cell(answers, cell, given, time_budget)
         problem = plan.problem
+        assert answers.grid.cells(problem.start.as_array()[None])[0] == cell
+        if answers.method[cell] != "shared":
+            assert np.allclose(problem.start.as_array(), answers.start[cell], atol=1e-9)
+            assert plan.trajectory.duration == pytest.approx(answers.seconds[cell], rel=0.01)
         plan.save(target)
     except OptdockError as error:
         problem = problem.starting_at(Pose2.from_sequence(answers.grid.poses([cell])[0]))

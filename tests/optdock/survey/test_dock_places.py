@@ -15,10 +15,8 @@ from optdock.survey.grid import Box
 from tests.optdock.survey.scenes import BACK_STATION, ROOM, STATION, scenario
 
 BEHIND = 0.01 + 0.002  # [m] between the back of the station and the wall
+HERE = Pose2(0, 0, 0)
 SEAM = 1e-3  # [m]: error of the outline
-
-
-HERE = Pose2(0.0, 0.0, 0.0)
 
 
 def in_room(station=STATION, direction="forward", move=HERE, obstacles=()):

@@ -21,7 +21,7 @@ from optdock.survey.table import columns_of
 from tests.optdock.runner.test_runner import Cluster
 from tests.optdock.survey.scenes import BACK_STATION, box, scenario
 
-SETTINGS = SurveySettings(region=Box(1.0, 1.0, 3.0, 2.0), resolution=0.25, headings=4, time_budget=0.1)
+SETTINGS = SurveySettings(within=2.1, resolution=0.25, headings=4, time_budget=0.1)
 GIVEN = scenario(box(1.9, 0, 2.1, 3))
 
 
@@ -182,6 +182,10 @@ def test_the_sentence_without_motions(whole):
     assert str(changed) == (
         "robot, dock: certified from 0.0 % of 60 free start poses; not found from 100.0 %, without a proof"
     )
+    mixed = dataclasses.replace(changed, impossible=20, not_found=40, reasons=(("slow", 40), ("a gap", 20)))
+    assert str(dataclasses.replace(mixed, obstruction="a gap")).endswith(
+        "not found from 66.7 %, without a proof; impossible from 33.3 %: a gap"
+    )
     assert str(dataclasses.replace(changed, free=0)) == "robot, dock: no free start pose in the region"
 
 
@@ -235,8 +239,8 @@ def test_one_robot_or_dock_twice_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"within": math.nan, "region": None}, "survey.within: must be finite and > 0 m"),
-        ({"within": -1.0, "region": None}, "survey.within: must be finite and > 0 m"),
+        ({"within": math.nan}, "survey.within: must be finite and > 0 m"),
+        ({"within": -1.0}, "survey.within: must be finite and > 0 m"),
         ({"time_budget": 0.0}, "survey.time_budget: must be finite and > 0 s"),
         ({"time_budget": math.nan}, "survey.time_budget: must be finite and > 0 s"),
         ({"headings": 0}, "survey.headings"),

@@ -1,5 +1,7 @@
 """Without required clearance no deep overlap is hidden in the seams of footprints, obstacles and maps."""
 
+import itertools
+
 import numpy as np
 import pytest
 import shapely
@@ -18,7 +20,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.verification import certify_path, contact_tolerance, pose_clearance
+from optdock.verification import certify_path, contact_tolerance, pose_clearance, pose_clearances
 from optdock.verification.certificate import TOLERANCE
 
 TOUCHING = ClearanceRule(0.0, 0.0, 0.0)
@@ -151,3 +153,35 @@ def test_accepted_poses_have_no_deep_overlap(seed):
 def test_accepted_contact_does_not_reach_the_core():
     """The core of a footprint is twice as deep as the tolerance of certificates."""
     assert contact_tolerance.DEPTH == 2.0 * TOLERANCE
+
+
+@given(st.integers(0, 2**32))
+@settings(max_examples=5)
+def test_cached_cores_give_the_clearance_of_a_single_pose(seed):
+    """Poses near each other share a core, also at the borders of its lattice; a subset has cores of its own."""
+    random = np.random.default_rng(seed)
+    lattice = contact_tolerance._LATTICE
+    corner = lattice * random.integers(-3, 4) + random.choice([0.0, 1e-9, -1e-9, 0.4 * lattice])
+    seams = np.concatenate(([corner], corner + np.cumsum(random.uniform(0.02, 0.4, 6))))
+    walls = [box(0.0, low, 1.0, high) for low, high in itertools.pairwise(seams)]
+    footprint = needle(random.uniform(0.1, 2.0))  # shallow in each wall
+    depths = random.choice([0.0, 0.5e-6, 1.5e-6, 1e-4], 8)
+    poses = np.column_stack((depths - 0.3, random.choice(seams, 8), np.zeros(8)))
+    every = ObstacleSet.from_polygons(walls)
+    for obstacles, pieces in ((every, walls), (every.subset(np.arange(0, 6, 2)), walls[::2])):
+        together, _ = pose_clearances(poses, footprint, obstacles)
+        again, _ = pose_clearances(poses[::-1], footprint, obstacles)
+        assert np.array_equal(together, again[::-1])
+        for pose, found in zip(poses, together, strict=True):
+            alone, _ = pose_clearances(pose[None], footprint, ObstacleSet.from_polygons(pieces))
+            assert found == pytest.approx(alone[0], abs=1e-7)
+            assert (found >= -TOLERANCE) == (alone[0] >= -TOLERANCE)
+
+
+def test_guesses_may_omit_the_check_of_unions():
+    """The needle is a tenth of a micrometre in each box, but 0.1 mm in their union."""
+    pose, footprint = np.array([[-0.3 + 1e-4, 0.0, 0.0]]), needle(0.1)
+    checked, _ = pose_clearances(pose, footprint, FRONTS["two boxes"])
+    omitted, _ = pose_clearances(pose, footprint, FRONTS["two boxes"], checks_unions=False)
+    assert -TOLERANCE < omitted[0] < 0.0
+    assert checked[0] < -TOLERANCE
