@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.io.path_columns import path_from_curves
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.segments import TURN_RADIUS, TurnSegment
@@ -41,7 +42,7 @@ __all__ = ["LawSamples", "PassedCells", "passed_cells", "seconds_from_rest", "ti
 _SHORTEST = 0.01  # [m] of the first gear of a rest
 _SPACING = 0.02  # [m] between the poses of a path that are assigned to cells
 # Distances [m] after which the robot may have joined the original motion; the first place that is possible is used.
-_JOINS_AFTER = np.array((0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 6.0))
+_JOINS_AFTER = readonly(np.array((0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 6.0)))
 _SAMPLE = 0.02  # [s] between the states of a motion
 _FASTER = (1.02, 0.01)  # factor and [m/s] of the error of interpolation between the states
 _SHARES = (1.0, 0.5)  # of the limits of acceleration and jerk

@@ -743,7 +743,7 @@ def test_compare_counts_cpu_time_so_that_load_changes_nothing(monkeypatch):
     write(name="bay.yaml")
     hours = itertools.count(step=3600.0)
     with budget_clock("wall"):
-        monkeypatch.setattr("optdock.deadline._Process.clock.read", lambda: next(hours))
+        monkeypatch.setattr("optdock.deadline._OfProcess.clock.read", lambda: next(hours))
         assert run("plan", "bay.yaml").exit_code == 5
         assert run("compare", "bay.yaml", "--smoother", "CasadiSmoother", "--out", "cmp").exit_code == 0
 

@@ -162,7 +162,7 @@ def test_the_numbers_of_the_summary_are_those_of_the_table(whole):
     assert row["asked"] == len(found.answers.asked)
     assert row["sentence"] == str(found.summary)
     assert f"certified from {100 * row['share']:.1f} % of {row['free']} free start poses" in row["sentence"]
-    assert f"impossible from {100 * row['impossible'] / row['free']:.1f} %; " in row["sentence"]
+    assert f"impossible from {100 * row['impossible'] / row['free']:.1f} %: " in row["sentence"]
 
 
 @pytest.mark.parametrize(
