@@ -58,7 +58,7 @@ def survey(  # noqa: PLR0913 - one parameter per option
     ] = None,
     time_budget: Annotated[
         float, typer.Option(metavar=SECONDS, help="Time for planning one question, on the counted clock.")
-    ] = 0.2,
+    ] = 0.5,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
     cell: Annotated[

@@ -71,7 +71,7 @@ class SurveySettings:
     region: Box | None = None
     resolution: float = 0.1
     headings: int = 16
-    time_budget: float = 0.2
+    time_budget: float = 0.5
 
 
 class SurveyedDock(NamedTuple):
