@@ -9,7 +9,7 @@ NEEDED = {f"{package}/py.typed" for package in PACKAGES} | {
     "optdock/config/demo/hall.yaml",
     "optdock/config/demo/hall_map.png",
 }
-SUFFIXES = (".py", ".pyi", ".typed", ".yaml", ".png")
+SUFFIXES = (".py", ".pyi", ".typed", ".yaml", ".png", ".css", ".html", ".js")
 
 
 def faults(names: list[str]) -> list[str]:

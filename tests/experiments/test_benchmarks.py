@@ -128,7 +128,7 @@ def test_survey_benchmark(run, tmp_path, capsys):
     from experiments.benchmarks import survey as benchmark
     from optdock.runner import Workers
     from optdock.survey.grid import Box
-    from optdock.survey.rounds import Verdict
+    from optdock.survey.rounds import CellState
     from optdock.survey.survey import SurveySettings, docks_of, run_survey
     from tests.optdock.survey.scenes import box, scenario
 
@@ -139,7 +139,7 @@ def test_survey_benchmark(run, tmp_path, capsys):
     done = run("survey", "--folder", str(tmp_path), "--sample", "8", "--jobs", "1")
     assert done.returncode == 0, done.stdout
     assert "refuted: 0 impossible cells with a plan, 0 answers whose plan file differs,\nof 8 (" in done.stdout
-    cell = int(np.flatnonzero(found.answers.verdict == Verdict.IMPOSSIBLE)[0])
+    cell = int(np.flatnonzero(found.answers.verdict == CellState.IMPOSSIBLE)[0])
     results = {"alone": [{"verdict": "CERTIFIED", "seconds": 9.0}], "opened": [benchmark.opened(found, cell)]}
     assert benchmark.report(found, [cell], results, {"alone": 1.0}, 1) == 1
     assert "refuted: 1 impossible cells with a plan" in capsys.readouterr().out
