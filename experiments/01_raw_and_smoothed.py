@@ -20,7 +20,7 @@ import numpy as np
 
 from experiments.benchmarks.ipopt_reference import smooth_by_ipopt
 from experiments.raw_paths import NEEDS_OMPL, SOURCES, has_ompl
-from experiments.study_cases import DockCase, dock_cases, maps_text, problem_for
+from experiments.study_cases import DockCase, PathTask, dock_cases, maps_text, problem_for
 from experiments.study_run import Report, bars, median_interval, run, share_text
 from optdock.config import Scenario
 from optdock.errors import OptdockError
@@ -52,14 +52,6 @@ BUDGET, LONG = 2.0, 10.0  # [s] of CPU time, for smoothers and for ipopt
 SIZE = (9.5, 6.4)
 
 
-class Task(NamedTuple):
-    """A case and a source of raw paths."""
-
-    scenario: str
-    number: int
-    source: str
-
-
 class Row(NamedTuple):
     """Figures of one path; those that do not exist are None."""
 
@@ -78,15 +70,15 @@ class Row(NamedTuple):
     cost: float | None = None
 
 
-def tasks(scale: float) -> list[Task]:
+def tasks(scale: float) -> list[PathTask]:
     """Return every case with every source."""
     sources = [name for name in SOURCES if name != "OMPL" or has_ompl()]
-    return [Task(*case, source) for case in dock_cases(scale, 2) for source in sources]
+    return [PathTask(*case, source) for case in dock_cases(scale, 2) for source in sources]
 
 
-def work(task: Task) -> Iterator[Row]:
+def work(task: PathTask) -> Iterator[Row]:
     """Smooth the raw path of a task by every smoother."""
-    task = Task(*task)
+    task = PathTask(*task)
     problem = problem_for(DockCase(task.scenario, task.number))
     raw = SOURCES[task.source](problem, task.number)
     if raw is None:

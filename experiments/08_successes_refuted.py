@@ -19,7 +19,7 @@ import numpy as np
 
 from experiments.dense_check import dense_check
 from experiments.raw_paths import NEEDS_OMPL, SOURCES, has_ompl
-from experiments.study_cases import DockCase, dock_cases, maps_text, problem_for
+from experiments.study_cases import DockCase, PathTask, dock_cases, maps_text, problem_for
 from experiments.study_run import Report, bars, run, share_text
 from optdock.errors import OptdockError
 from optdock.geometry.pose import transform_points, wrap_angles
@@ -55,14 +55,6 @@ BUDGET = 2.0  # [s] of CPU time
 SIZE = (10.0, 5.2)
 
 
-class Task(NamedTuple):
-    """A case and a source of raw paths."""
-
-    scenario: str
-    number: int
-    source: str
-
-
 class Row(NamedTuple):
     """Verdict on one result; the sizes are positive where the rule is broken: overlap and lack [m], ratio - 1."""
 
@@ -92,15 +84,15 @@ class Row(NamedTuple):
         return self.collides or self.too_close or self.too_sharp
 
 
-def tasks(scale: float) -> list[Task]:
+def tasks(scale: float) -> list[PathTask]:
     """Return every case with every source."""
     sources = [name for name in SOURCES if name != "OMPL" or has_ompl()]
-    return [Task(*case, source) for case in dock_cases(scale, 2) for source in sources]
+    return [PathTask(*case, source) for case in dock_cases(scale, 2) for source in sources]
 
 
-def work(task: Task) -> Iterator[Row]:
+def work(task: PathTask) -> Iterator[Row]:
     """Smooth the raw path of a task by every smoother."""
-    task = Task(*task)
+    task = PathTask(*task)
     problem = problem_for(DockCase(task.scenario, task.number))
     raw = SOURCES[task.source](problem, task.number)
     if raw is None:

@@ -20,7 +20,7 @@ from optdock.model.problem import DockingProblem
 BAY = "bay of the examples"
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "data"
 
-__all__ = ["BAY", "EXAMPLES", "DockCase", "dock_cases", "maps_text", "problem_for"]
+__all__ = ["BAY", "EXAMPLES", "DockCase", "PathTask", "dock_cases", "maps_text", "problem_for"]
 
 
 class DockCase(NamedTuple):
@@ -28,6 +28,14 @@ class DockCase(NamedTuple):
 
     scenario: str
     number: int
+
+
+class PathTask(NamedTuple):
+    """A case and a source of raw paths."""
+
+    scenario: str
+    number: int
+    source: str
 
 
 def _scenarios() -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import argparse
 import collections
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,6 @@ from optdock.reports.report import failed_plan_file, table
 from optdock.runner import Case, Workers, run_cases
 from optdock.survey.dock_places import DockPlace
 from optdock.survey.opened import plan_of_cell
-from optdock.survey.questions import scenario_plan
 from optdock.survey.rounds import CellState
 from optdock.survey.survey import SurveySettings, docks_of, open_survey, run_survey
 
@@ -57,7 +57,7 @@ def alone(found: DockSurvey, cell: int) -> dict[str, Any]:
     pose = Pose2.from_sequence(found.task.grid.poses(np.array([cell]))[0])
     scenario = found.task.scenario
     try:
-        plan = scenario_plan(scenario, scenario.problem.starting_at(pose), found.task.time_budget)
+        plan = replace(scenario, problem=scenario.problem.starting_at(pose)).plan(found.task.time_budget)
     except NoMotionExists:
         return {"verdict": "IMPOSSIBLE"}
     except OptdockError:

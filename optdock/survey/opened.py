@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from optdock.io.path_columns import path_from_curves
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.trajectory import Trajectory
 from optdock.planning.plan import DockPlan
-from optdock.survey.questions import deformed_plan, proven_plan, scenario_plan
+from optdock.survey.questions import deformed_plan, proven_plan
 from optdock.survey.rounds import CellState, SurveyAnswers
 from optdock.verification import prove_motion
 
@@ -56,7 +57,7 @@ def plan_of_cell(answers: SurveyAnswers, cell: int, scenario: Scenario, time_bud
     method, rest = answers.method[cell], path.piece(place) if place > 0.0 else path
     if method == "shared":
         moved = deformed_plan(rest, problem, scenario, time_budget)
-        return moved or scenario_plan(scenario, problem, _PATIENCE * time_budget)
+        return moved or replace(scenario, problem=problem).plan(_PATIENCE * time_budget)
     if method == "inherited":
         plan = proven_plan(rest, problem.starting_at(rest.start), scenario, time_budget)
         if plan is None:

@@ -2,9 +2,9 @@
 
 A question is a start pose at rest. It is answered by the first of these methods that succeeds:
 
-1. The motion of an answered neighbour, or the rest of a motion from the pose on it that is nearest to the new start,
+1. A proof of impossibility of a neighbour, checked for the new start.
+2. The motion of an answered neighbour, or the rest of a motion from the pose on it that is nearest to the new start,
    deformed to the new start (`deformation`), certified and timed.
-2. A proof of impossibility of a neighbour, checked for the new start.
 3. `plan_dock`.
 
 Every certified motion also answers the poses that it passes (`passed_cells`).
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -31,7 +31,6 @@ from optdock.impossibility import (
 from optdock.io.path_columns import curves_of, path_from_curves
 from optdock.planners.manoeuvres.price import stops
 from optdock.planning.deformation import deformed
-from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan
     from optdock.survey.grid import SurveyGrid
 
-__all__ = ["Answer", "SurveyTask", "SurveyTile", "answer_tile", "deformed_plan", "proven_plan", "scenario_plan"]
+__all__ = ["Answer", "SurveyTask", "SurveyTile", "answer_tile", "deformed_plan", "proven_plan"]
 
 _DEFORMED_FROM = 5  # nearest motions that are tried
 _SPACING = 0.1  # [m] between the poses of a motion from which its rest may be deformed
@@ -161,7 +160,7 @@ class _Work:
         plan, steps = self._deformed(pose, problem)
         if plan is None:
             try:
-                plan = scenario_plan(scenario, problem, self.task.time_budget)
+                plan = replace(scenario, problem=problem).plan(self.task.time_budget)
             except NoMotionExists as error:
                 self.proofs.append(cast("NoMotionProof", error.proof))  # checked by `plan_dock`
                 self._apply(len(self.proofs) - 1, problem)
@@ -203,7 +202,7 @@ class _Work:
             self.separated.update(dict.fromkeys(cells[held].tolist(), number))
 
     def _deformed(self, pose: FloatArray, problem: DockingProblem) -> tuple[DockPlan | None, int]:
-        """Return the cheapest plan along the deformed path of a neighbour, and its number of deformations."""
+        """Return a plan along the deformed path of a neighbour, or None, and its number of deformations."""
         near = [one for one in self.known if one.steps < _MOST_STEPS]
         if not near:
             return None, 0
@@ -245,21 +244,6 @@ def proven_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_bu
     with suppress(OptdockError):
         return Refinement(problem, smoother, timing, None, *limits).proven(path, path, PartialPlan())
     return None
-
-
-def scenario_plan(scenario: Scenario, problem: DockingProblem, time_budget: float) -> DockPlan:
-    """Return the plan of a problem with the plugins of a scenario.
-
-    Raises:
-        OptdockError: As `plan_dock`.
-    """
-    return plan_dock(
-        problem,
-        time_budget=time_budget,
-        planner=scenario.planner,
-        smoother=scenario.smoother,
-        timing=scenario.timing,
-    )
 
 
 def answer_tile(task: SurveyTask, tile: SurveyTile) -> dict[str, object]:

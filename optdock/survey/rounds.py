@@ -56,7 +56,7 @@ class Spacing(NamedTuple):
 
 
 class CellState(IntEnum):
-    """CellState on a cell."""
+    """State of a cell: outside, not answered, or its verdict."""
 
     OUTSIDE = -1  # of the surveyed region
     UNKNOWN = 0
@@ -88,7 +88,7 @@ class SurveyAnswers:
 
     Attributes:
         grid: The cells.
-        verdict: CellState of each cell, Shape (cells,).
+        verdict: State of each cell, Shape (cells,).
         method: Method of each answer: `planned`, `deformed`, `proven`, `inherited`, `shared` or `measured`, Shape
             (cells,).
         seconds: Duration [s], nan without a motion, Shape (cells,).
@@ -149,14 +149,13 @@ class SurveyAnswers:
         )
 
     def record(self, answers: Iterable[Answer]) -> None:
-        """Enter the answers to questions."""
+        """Enter the answers of cells that had none; their motions begin at the centres of the cells."""
         for answer in answers:
             cell = answer.cell
             self.asked[cell] = answer
             self.verdict[cell], self.method[cell] = VERDICTS[answer.verdict], answer.method
             self.seconds[cell] = math.nan if answer.seconds is None else answer.seconds
             self.stops[cell], self.source[cell] = answer.cusps, cell
-            self.place[cell], self.start[cell] = 0.0, self.grid.poses(np.array([cell]))[0]
 
 
 def survey_dock(
@@ -289,7 +288,7 @@ class _Rounds:
     def _ask(self, stage: str, tiles: Iterable[tuple[str, SurveyTile]]) -> None:
         """Let the questions of tiles be answered, and enter the answers."""
         listed = list(tiles)
-        cases = [Case(f"{self.name}{stage} {key}".rstrip(), (tile,)) for key, tile in listed]
+        cases, passed = [Case(f"{self.name}{stage} {key}", (tile,)) for key, tile in listed], [self.passed]
         for (_, tile), outcome in zip(listed, self.run(answer_tile, cases), strict=True):
             self.found.cpu_seconds += outcome.cpu_seconds
             if outcome.error:
@@ -300,7 +299,8 @@ class _Rounds:
             numbers = [self._number_of(proof) for proof in result["proofs"]]
             answers = (Answer(**values) for values in result["answers"])
             self.found.record(one._replace(proof=numbers[one.proof]) if one.proof >= 0 else one for one in answers)
-            self.passed = PassedCells.joined([self.passed, PassedCells.from_dict(result["passed"])])
+            passed.append(PassedCells.from_dict(result["passed"]))
+        self.passed = PassedCells.joined(passed)
 
     def _number_of(self, proof: Mapping[str, Any]) -> int:
         """Return the index of a proof among all proofs of the survey."""
@@ -342,7 +342,7 @@ class _Rounds:
         """Yield the tiles of cells; neighbouring headings follow each other, beginning with that of the dock."""
         k, j, i = np.unravel_index(cells, self.grid.shape)
         turned = np.abs(wrap_angles(self.grid.headings[k] - self.task.scenario.problem.goal.yaw))
-        tile = j // self.spacing.tile * self.grid.shape[2] + i // self.spacing.tile
+        tile = self._tile_of(cells)
         order = np.lexsort((i, j, k, turned, tile))
         cells, tile = cells[order], tile[order]
         known = self._answers_by_tile()
@@ -352,12 +352,16 @@ class _Rounds:
             proofs = [self.found.proofs[number] for number in sorted({one.proof for one in near if one.proof >= 0})]
             yield str(int(tile[part[0]])), SurveyTile(cells[part].tolist(), motions, proofs)
 
+    def _tile_of(self, cells: IntArray) -> IntArray:
+        """Return the number of the tile of each cell."""
+        _, j, i = np.unravel_index(cells, self.grid.shape)
+        found: IntArray = j // self.spacing.tile * self.grid.shape[2] + i // self.spacing.tile
+        return found
+
     def _answers_by_tile(self) -> dict[int, list[Answer]]:
         asked = sorted(self.found.asked)
-        _, j, i = np.unravel_index(np.array(asked, dtype=np.int64), self.grid.shape)
-        tile = j // self.spacing.tile * self.grid.shape[2] + i // self.spacing.tile
         found: dict[int, list[Answer]] = {}
-        for cell, number in zip(asked, tile.tolist(), strict=True):
+        for cell, number in zip(asked, self._tile_of(np.array(asked, dtype=np.int64)).tolist(), strict=True):
             found.setdefault(number, []).append(self.found.asked[cell])
         return found
 

@@ -32,13 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["columns_of", "require_parquet", "save_table"]
 
-_NAMES = {
-    CellState.CERTIFIED: "certified",
-    CellState.IMPOSSIBLE: "impossible",
-    CellState.NOT_FOUND: "not_found",
-    CellState.OCCUPIED: "occupied",
-}
-
 
 def require_parquet() -> Any:  # noqa: ANN401 - a module without types
     """Return the module that writes Parquet files.
@@ -63,7 +56,7 @@ def columns_of(answers: SurveyAnswers) -> dict[str, FloatArray | IntArray | list
     refused = {cell: one.reason for cell, one in answers.asked.items() if one.verdict != "certified"}
     return {
         **dict(zip(("x", "y", "yaw"), centre.T, strict=True)),
-        "verdict": [_NAMES[CellState(value)] for value in answers.verdict[rows].tolist()],
+        "verdict": [CellState(value).name.lower() for value in answers.verdict[rows].tolist()],
         "answer": answers.method[rows].tolist(),
         "seconds": answers.seconds[rows],
         "cusps": np.where(np.isfinite(answers.seconds[rows]), answers.stops[rows], -1),

@@ -1,5 +1,6 @@
 """The rest of a certified path is certified from each of its poses, and its duration is that of a planned time law."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -15,7 +16,7 @@ from optdock.planners.manoeuvres.price import stops
 from optdock.plugins.interfaces import TimeParameterizer
 from optdock.plugins.registry import PluginChoice, plugin_from
 from optdock.survey.grid import SurveyGrid
-from optdock.survey.questions import SurveyTask, scenario_plan
+from optdock.survey.questions import SurveyTask
 from optdock.survey.tails import PassedCells, passed_cells, time_rests
 from optdock.verification import certify_path
 from tests.optdock.survey.scenes import BACK_STATION, CAR, box, scenario
@@ -51,7 +52,7 @@ def planned(kind):
     obstacles, options, start = KINDS[kind]
     given = scenario(*obstacles, **options)
     with budget_clock("counted"):
-        return given, scenario_plan(given, given.problem.starting_at(Pose2(*start)), 1.0)
+        return given, dataclasses.replace(given, problem=given.problem.starting_at(Pose2(*start))).plan(1.0)
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -114,11 +115,11 @@ def test_a_start_that_is_too_close_has_no_rests(gap):
     close = box(0.5, 1.15 + gap, 1.5, 1.25 + gap)
     given = scenario(close)
     with budget_clock("counted"):
-        found = scenario_plan(given, given.problem.starting_at(Pose2(1.0, 1.0, 0.0)), 1.0)
+        found = dataclasses.replace(given, problem=given.problem.starting_at(Pose2(1.0, 1.0, 0.0))).plan(1.0)
     assert passed_cells(found, FINE).cell.size == 0
     far = scenario(close + np.array([0.0, 0.04]))
     with budget_clock("counted"):
-        found = scenario_plan(far, far.problem.starting_at(Pose2(1.0, 1.0, 0.0)), 1.0)
+        found = dataclasses.replace(far, problem=far.problem.starting_at(Pose2(1.0, 1.0, 0.0))).plan(1.0)
     assert passed_cells(found, FINE).cell.size > 20
 
 
@@ -126,7 +127,7 @@ def test_a_camera_with_a_tube_has_no_rests():
     options = {**VIEW, "robot": {**VIEW["robot"], **TUBE["robot"]}}
     given = scenario(**options)
     with budget_clock("counted"):
-        found = scenario_plan(given, given.problem.starting_at(Pose2(1.0, 1.3, 0.1)), 1.0)
+        found = dataclasses.replace(given, problem=given.problem.starting_at(Pose2(1.0, 1.3, 0.1))).plan(1.0)
     assert passed_cells(found, FINE).cell.size == 0
 
 
