@@ -116,7 +116,8 @@ def _row(one: DockSurvey) -> tuple[str, ...]:
     numbers = (100.0 * summary.share, 100.0 * summary.floor, summary.p95, summary.margin, *summary.pose)
     places = (1, 1, 1, 3, 2, 2, 3)
     shown = (
-        f"{value:.{digits}f}" if math.isfinite(value) else "-" for value, digits in zip(numbers, places, strict=True)
+        f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "-"
+        for value, digits in zip(numbers, places, strict=True)
     )
     return one.surveyed.key, *shown
 
