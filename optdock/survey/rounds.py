@@ -56,7 +56,7 @@ class Spacing(NamedTuple):
 
 
 class CellState(IntEnum):
-    """State of a cell: outside, not answered, or its verdict."""
+    """State of a cell: outside, not answered, or what its row says."""
 
     OUTSIDE = -1  # of the surveyed region
     UNKNOWN = 0
