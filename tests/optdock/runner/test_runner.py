@@ -348,10 +348,12 @@ def test_numbers_survive_the_file_bit_by_bit(tmp_path):
 
 
 RUN = """
+import signal
 import sys
 from optdock.runner import Case, OutcomeStore, Workers, run_cases, run_head
 from tests.optdock.runner.functions import process_of_case
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored if the tests run in the background of a shell
     with Workers(2, prepare=None) as workers, OutcomeStore(sys.argv[1], run_head("killed", workers, 1)) as store:
         cases = [Case(f"case {number}", (number, 0.05)) for number in range(40)]
         list(run_cases(process_of_case, cases, workers=workers, store=store))
