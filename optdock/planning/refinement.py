@@ -36,6 +36,7 @@ from optdock.geometry.pose import Pose2
 from optdock.model.path import Path
 from optdock.model.segments import ClothoidSegment, PolylineSegment, TurnSegment
 from optdock.model.trajectory import Trajectory
+from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plugins.interfaces import (
     LifecycleState,
@@ -255,6 +256,48 @@ class Refinement:
                 path = begun_straight(self.problem.start, int(raw.segments[0].direction), kept, path)
         plan = self.proven(raw, path, so_far)
         return replace(plan, completed=result.completed, smoothing_report=result.report)
+
+    def deformed(
+        self, path: Path, most_pushes: int, *, steers: bool = True, speed: float = 0.0
+    ) -> tuple[Path, Certificate | None]:
+        """Deform the rest of a path to the start of the problem, and push it off obstacles that are too close.
+
+        Args:
+            path: The rest of a path, of clothoids and turns in place.
+            most_pushes: Largest number of pushes, of two milliseconds each.
+            steers: As in `deformation.deformed`.
+            speed: As in `deformation.deformed` [m/s].
+
+        Returns:
+            The last deformed path with its certificate; `path` itself and None if it cannot be deformed.
+        """
+        problem, pushes, longest = self.problem, list[Push](), 0.0
+        certificate: Certificate | None = None
+        for _ in range(most_pushes + 1):
+            if self.deadline.left < longest:  # a smoothing afterwards would not end in time
+                break
+            began = self.deadline.elapsed
+            with self.timed("deform"):
+                moved = deformed(
+                    path,
+                    problem.start,
+                    problem.goal,
+                    problem.robot.limits,
+                    final_straight=problem.dock.final_straight,
+                    steers=steers,
+                    speed=speed,
+                    pushes=pushes,
+                )
+            if moved is None or self.asked_to_stop():
+                break
+            path = moved
+            with self.timed("certify"):
+                certificate = certify_path(path, problem, is_late=self.asked_to_stop)
+            if any(violation.kind != "clearance" for violation in certificate.violations) or certificate.certified:
+                break
+            pushes.append(push_off(certificate.violations[0], path, problem))
+            longest = max(longest, self.deadline.elapsed - began)
+        return path, certificate
 
     def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
         """Return the certified plan along a path that needs no smoothing; other arguments are as in `refined`.

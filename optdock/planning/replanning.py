@@ -43,7 +43,6 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import Trajectory
 from optdock.planning.changed_world import StillHolds, still_holds
-from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time
@@ -55,7 +54,6 @@ from optdock.verification import (
     ProvenWay,
     WayVerdict,
     certify_motion,
-    certify_path,
     certify_trajectory,
     end_clearances,
     prove_way,
@@ -323,36 +321,12 @@ class _Replanning:
         self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
         """Deform the rest of the running path, or smooth it; None if neither result is certified."""
-        guess, pushes, longest = rest, list[Push](), 0.0
-        for _ in range(_PUSHES + 1):
-            if work.deadline.left < longest:  # another smoothing would not end in time
-                break
-            began = work.deadline.elapsed
-            with work.timed("deform"):
-                path = deformed(
-                    guess,
-                    joint.pose,
-                    problem.goal,
-                    problem.robot.limits,
-                    final_straight=problem.dock.final_straight,
-                    steers=problem.start_curvature is not None,
-                    speed=abs(joint.speed),
-                    pushes=pushes,
-                )
-            if path is None or work.asked_to_stop():
-                break
-            guess = path
-            with work.timed("certify"):
-                certificate = certify_path(path, problem, is_late=work.asked_to_stop)
-            if certificate.certified:
-                plan = self._attempt("deformed", path, functools.partial(work.proven, path, path))
-                if plan is not None:
-                    return plan
-                break
-            if any(violation.kind != "clearance" for violation in certificate.violations):
-                break
-            pushes.append(push_off(certificate.violations[0], path, problem))
-            longest = max(longest, work.deadline.elapsed - began)
+        steers, speed = problem.start_curvature is not None, abs(joint.speed)
+        guess, certificate = work.deformed(rest, _PUSHES, steers=steers, speed=speed)
+        if certificate is not None and certificate.certified:
+            plan = self._attempt("deformed", guess, functools.partial(work.proven, guess, guess))
+            if plan is not None:
+                return plan
         return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
 
     def _timing(self) -> dict[str, float]:

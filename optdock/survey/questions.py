@@ -4,7 +4,7 @@ A question is a start pose at rest. It is answered by the first of these methods
 
 1. A proof of impossibility of a neighbour, checked for the new start.
 2. The motion of an answered neighbour, or the rest of a motion from the pose on it that is nearest to the new start,
-   deformed to the new start (`deformation`), certified and timed.
+   deformed to the new start, pushed off obstacles (`deformation`), certified and timed.
 3. `plan_dock`.
 
 Every certified motion also answers the poses that it passes (`passed_cells`).
@@ -30,7 +30,6 @@ from optdock.impossibility import (
 )
 from optdock.io.path_columns import curves_of, path_from_curves
 from optdock.planners.manoeuvres.price import stops
-from optdock.planning.deformation import deformed
 from optdock.planning.plan import PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
@@ -55,6 +54,8 @@ _SPACING = 0.1  # [m] between the poses of a motion from which its rest may be d
 _FARTHEST = 1.5  # [m] of a neighbour; a step of 22.5 degrees counts as `_TURN` metres
 _TURN = 0.5 / (math.pi / 8.0)  # [m/rad]
 _MARGIN = 0.1, 0.5  # [m]: distance between the samples of `Answer.margin`, and largest margin that is measured
+# Most pushes off obstacles. In 64 blocks of a warehouse, 4 and 8 pushes save 55 % and 60 % of the CPU time.
+_PUSHES = 8
 _MOST_STEPS = 6  # deformations one after the other; then a motion is planned again
 # A deformed motion may cost this much more than that of the neighbour, as a factor and in seconds; then it is planned
 # anew. 0.4 m at 0.3 m/s take 1.3 s.
@@ -225,25 +226,27 @@ class _Work:
 
 def deformed_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_budget: float) -> DockPlan | None:
     """Return the certified plan along a path deformed to the start of the problem, or None."""
-    moved = deformed(
-        path,
-        problem.start,
-        problem.goal,
-        problem.robot.limits,
-        final_straight=problem.dock.final_straight,
-        steers=False,
-    )
-    return None if moved is None else proven_plan(moved, problem, scenario, time_budget)
+    work = _refinement(problem, scenario, time_budget)
+    moved, certificate = work.deformed(path, _PUSHES, steers=False)
+    if certificate is None or not certificate.certified:
+        return None
+    with suppress(OptdockError):
+        return work.proven(moved, moved, PartialPlan())
+    return None
 
 
 def proven_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_budget: float) -> DockPlan | None:
     """Return the certified plan along a path that needs no smoothing, or None."""
+    with suppress(OptdockError):
+        return _refinement(problem, scenario, time_budget).proven(path, path, PartialPlan())
+    return None
+
+
+def _refinement(problem: DockingProblem, scenario: Scenario, time_budget: float) -> Refinement:
     smoother = plugin_from(Smoother, scenario.smoother, "smoother")
     timing = plugin_from(TimeParameterizer, scenario.timing, "timing")
     limits = Cancellation(never_cancelled), time_budget, Deadline(time_budget), dict[str, float]()
-    with suppress(OptdockError):
-        return Refinement(problem, smoother, timing, None, *limits).proven(path, path, PartialPlan())
-    return None
+    return Refinement(problem, smoother, timing, None, *limits)
 
 
 def answer_tile(task: SurveyTask, tile: SurveyTile) -> dict[str, object]:
