@@ -37,7 +37,8 @@ help:
 	@echo "                  ROS_DISTRO=jazzy with that of Jazzy (.venv-ros-jazzy), also in ros-demo and bench-ros"
 	@echo "make bench-ros    the ROS 2 servers measured: round trips, heartbeat, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  the numbered studies in experiments/, tables and charts in results/; SCALE=0.1 for a quick look,"
-	@echo "                  JOBS=2 processes; on Nav2's maps and public parking cases too with OPTDOCK_DATA"
+	@echo "                  JOBS=2 processes; on Nav2's maps and public parking cases too with OPTDOCK_DATA;"
+	@echo "                  at full scale the tables of the documentation are compared with what was measured"
 
 # What the demo needs, and what everything else needs beside it.
 $(DEMO_STAMP): pyproject.toml
@@ -133,7 +134,8 @@ bench-ros: ros-env
 experiments: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[ompl]' || echo "the studies run without OMPL"
 	failed=0; for script in experiments/[0-9]*.py; do \
-	$(BIN)/python $$script --scale $(SCALE) --jobs $(JOBS) || failed=1; done; exit $$failed
+	$(BIN)/python $$script --scale $(SCALE) --jobs $(JOBS) || failed=1; done; \
+	$(if $(filter 1,$(SCALE)),$(BIN)/python docs/tools/measured.py experiments/0 --results results || failed=1;) exit $$failed
 
 clean:
 	rm -rf $(VENV) .venv-ros .venv-ros-* demo ros-demo results site

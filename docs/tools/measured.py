@@ -3,7 +3,8 @@
 A table below a line `<!-- measured: COMMAND -->` contains columns of the first table printed by the command that has
 all of these columns. Rows are matched by their first cells; all rows are compared if several begin alike. `python
 docs/tools/measured.py` (`make figures`) runs the commands and fails if a figure has changed; `--write` updates the
-pages. Additional arguments select the commands that contain one of them.
+pages. Additional arguments select the commands that contain one of them. `--results results` compares the studies that
+`make experiments` has run, without running anything.
 
 A line `<!-- measured by hand: REASON -->` marks a table that is not printed by a command.
 
@@ -189,11 +190,19 @@ def run(command: str) -> str:
     return subprocess.run(words, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
+def study_of(command: str, results: Path) -> str | None:
+    """Return the text in a folder of results that a study has printed; None if it has not run with these arguments."""
+    found = re.fullmatch(r"python experiments/(\w+)\.py", command)
+    text = results / found[1] / "study.md" if found else None
+    return text.read_text(encoding="utf-8") if text is not None and text.is_file() else None
+
+
 def main() -> int:
     """Run the commands and print the differences; the exit status is 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("words", nargs="*", help="select the commands that contain one of these texts; default: all")
     parser.add_argument("--write", action="store_true", help="write the new figures into the pages")
+    parser.add_argument("--results", type=Path, help="compare the texts of studies in this folder, and run no command")
     parser.add_argument("--list", action="store_true", help="list the commands without running them")
     options = parser.parse_args()
     tables = [table for page in PAGES for table in measured_in(page) if table.command]
@@ -203,7 +212,11 @@ def main() -> int:
         print(command, flush=True)
         if options.list:
             continue
-        printed = run(command)
+        printed = run(command) if options.results is None else study_of(command, options.results)
+        if printed is None:
+            print("  is not among the results")
+            status = 1
+            continue
         for table in (table for table in tables if table.command == command):
             wrong = compared(table, printed)
             if options.write:

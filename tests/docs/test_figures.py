@@ -122,6 +122,14 @@ def test_figures_of_computing_time_may_differ_by_a_factor_of_two(tmp_path):
     assert measured.compared(marked(tmp_path, f"{head}| law | 0.02 |\n| executor | 4.0 |\n"), PRINTED) != []
 
 
+def test_the_text_of_a_study_is_found_among_the_results_if_it_ran_with_these_arguments(tmp_path):
+    (tmp_path / "05_contact").mkdir()
+    (tmp_path / "05_contact" / "study.md").write_text(PRINTED, encoding="utf-8")
+    assert measured.study_of("python experiments/05_contact.py", tmp_path) == PRINTED
+    assert measured.study_of("python experiments/05_contact.py --scale 4", tmp_path) is None
+    assert measured.study_of("python experiments/06_parking.py", tmp_path) is None
+
+
 def test_a_line_that_is_not_printed_is_found():
     printed = "off the path   3.42 mm and 0.004 rad\ntube           none"
     assert not_printed("off the path 3.42 mm and 0.004 rad\n...\ntube none", printed) is None
