@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 import multiprocessing
 import os
 import pickle
-import secrets
 import signal
 import threading
 import time
@@ -125,10 +125,12 @@ class Workers:
         """
         if self._executor is None:
             raise InvalidValue("workers: are not running; use them as a context: 'with Workers() as workers:'")
-        how = _How(function, self.clock, self._prepare, secrets.token_hex(8))
         content: Any = shared
+        digest = ""
         if not isinstance(self._executor, _ThisProcess):
             content = pickle.dumps(shared)
+            digest = hashlib.sha256(content).hexdigest()
+        how = _How(function, self.clock, self._prepare, digest)
         if self._client is not None:
             content = self._client.submit(_same, content, pure=False)  # unlike scattered data, computed again if lost
 
@@ -191,12 +193,12 @@ def _end_with(alive: Connection) -> None:
 
 
 class _How(NamedTuple):
-    """How the cases of a run are computed; `run` identifies the run."""
+    """How the cases of a run are computed; `digest`: of the pickled shared arguments."""
 
     function: Callable[..., object]
     clock: ClockName
     prepare: Callable[[], object] | None
-    run: str
+    digest: str
 
 
 def _computed(how: _How, shared: tuple[Any, ...] | bytes, case: Case) -> Outcome:
@@ -204,7 +206,7 @@ def _computed(how: _How, shared: tuple[Any, ...] | bytes, case: Case) -> Outcome
     with _ONE_AT_A_TIME:
         if how.prepare is not None:
             _prepared(how.prepare)
-        first = _restored(how.run, shared) if isinstance(shared, bytes) else shared
+        first = _restored(how.digest, shared) if isinstance(shared, bytes) else shared
         with budget_clock(how.clock):
             began, value, error = time.process_time(), None, ""
             try:
@@ -219,15 +221,15 @@ def _prepared(prepare: Callable[[], object]) -> None:
     prepare()
 
 
-_RESTORED: dict[str, tuple[Any, ...]] = {}  # shared arguments of the latest run
+_RESTORED: dict[str, tuple[Any, ...]] = {}  # latest shared arguments by their digest
 
 
-def _restored(run: str, shared: bytes) -> tuple[Any, ...]:
-    """Return the shared arguments of a run, which are restored once."""
-    if run not in _RESTORED:
+def _restored(digest: str, shared: bytes) -> tuple[Any, ...]:
+    """Return shared arguments, which are restored once for all successive runs with equal ones."""
+    if digest not in _RESTORED:
         _RESTORED.clear()
-        _RESTORED[run] = pickle.loads(shared)
-    return _RESTORED[run]
+        _RESTORED[digest] = pickle.loads(shared)
+    return _RESTORED[digest]
 
 
 def _cores() -> int:
