@@ -9,10 +9,12 @@ import multiprocessing
 import os
 import pickle
 import signal
+import tempfile
 import threading
 import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from optdock import __version__
@@ -77,6 +79,7 @@ class Workers:
         self._executor: Executor | None = None
         self._client: Any = None
         self._alive: Connection | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None  # of the shared arguments
         self._counted_at = 0.0
         self._environment: dict[str, str | None] = {}
 
@@ -90,6 +93,7 @@ class Workers:
             # Read when a process loads NumPy, which may be before any initializer runs.
             self._environment = {name: os.environ.get(name) for name in _THREADS}
             os.environ.update(dict.fromkeys(_THREADS, "1"))
+            self._folder = tempfile.TemporaryDirectory(prefix="optdock-")
             self.restart()
         return self
 
@@ -103,7 +107,9 @@ class Workers:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-        self._executor = self._client = None
+        if self._folder is not None:
+            self._folder.cleanup()
+        self._executor = self._client = self._folder = None
         self._environment = {}
 
     @property
@@ -125,25 +131,33 @@ class Workers:
         """
         if self._executor is None:
             raise InvalidValue("workers: are not running; use them as a context: 'with Workers() as workers:'")
-        content: Any = shared
-        digest = ""
-        if not isinstance(self._executor, _ThisProcess):
-            content = pickle.dumps(shared)
-            digest = hashlib.sha256(content).hexdigest()
+        given, digest = self._given(shared)
         how = _How(function, self.clock, self._prepare, digest)
-        if self._client is not None:
-            content = self._client.submit(_same, content, pure=False)  # unlike scattered data, computed again if lost
 
         def submit(case: Case) -> Future[Outcome]:
             assert self._executor is not None
             try:
-                return self._executor.submit(_computed, how, content, case)
+                return self._executor.submit(_computed, how, given, case)
             except BrokenProcessPool as error:
                 lost: Future[Outcome] = Future()
                 lost.set_exception(error)
                 return lost
 
         return submit
+
+    def _given(self, shared: tuple[Any, ...]) -> tuple[Any, str]:
+        """Return what is sent with every case instead of the shared arguments, and their digest."""
+        if isinstance(self._executor, _ThisProcess):
+            return shared, ""
+        content = pickle.dumps(shared)
+        digest = hashlib.sha256(content).hexdigest()
+        if self._client is not None:  # unlike scattered data, computed again if lost
+            return self._client.submit(_same, content, pure=False), digest
+        assert self._folder is not None
+        target = Path(self._folder.name) / digest
+        if not target.exists():
+            target.write_bytes(content)
+        return target, digest
 
     def restart(self) -> None:
         """Replace the processes of this machine by new ones.
@@ -201,12 +215,12 @@ class _How(NamedTuple):
     digest: str
 
 
-def _computed(how: _How, shared: tuple[Any, ...] | bytes, case: Case) -> Outcome:
+def _computed(how: _How, shared: tuple[Any, ...] | bytes | Path, case: Case) -> Outcome:
     """Compute a case in a worker; its value is converted to JSON and back, so that resumed outcomes are the same."""
     with _ONE_AT_A_TIME:
         if how.prepare is not None:
             _prepared(how.prepare)
-        first = _restored(how.digest, shared) if isinstance(shared, bytes) else shared
+        first = shared if isinstance(shared, tuple) else _restored(how.digest, shared)
         with budget_clock(how.clock):
             began, value, error = time.process_time(), None, ""
             try:
@@ -224,11 +238,16 @@ def _prepared(prepare: Callable[[], object]) -> None:
 _RESTORED: dict[str, tuple[Any, ...]] = {}  # latest shared arguments by their digest
 
 
-def _restored(digest: str, shared: bytes) -> tuple[Any, ...]:
-    """Return shared arguments, which are restored once for all successive runs with equal ones."""
+def _restored(digest: str, shared: bytes | Path) -> tuple[Any, ...]:
+    """Return shared arguments, which are restored once for all successive runs with equal ones.
+
+    Args:
+        digest: Digest of the pickled arguments.
+        shared: The pickled arguments, or a file that contains them.
+    """
     if digest not in _RESTORED:
         _RESTORED.clear()
-        _RESTORED[digest] = pickle.loads(shared)
+        _RESTORED[digest] = pickle.loads(shared if isinstance(shared, bytes) else shared.read_bytes())
     return _RESTORED[digest]
 
 

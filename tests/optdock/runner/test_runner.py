@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -111,13 +112,28 @@ def test_a_process_computes_one_case_at_a_time(cluster, tmp_path):
     assert found == [False] * COUNT
 
 
+def test_shared_arguments_are_not_sent_with_every_case(pair, monkeypatch):
+    sent, submit = [], pair._executor.submit
+
+    def counted(*arguments):
+        sent.append(len(pickle.dumps(arguments)))
+        return submit(*arguments)
+
+    monkeypatch.setattr(pair._executor, "submit", counted)
+    outcomes = run_cases(functions.restored, cases(3), workers=pair, shared=(bytes(1_000_000),))
+    assert [one.value[0] for one in outcomes] == [0, 1, 2]
+    assert max(sent) < 10_000
+
+
 def test_shared_arguments_are_restored_once_per_process(pair, cluster):
     shared = functions.Counted()
     shared.content = bytes(10)
     with cluster.workers() as remote:
         for workers in (pair, remote):
-            outcomes = run_cases(functions.restored, cases(), workers=workers, shared=(shared,))
-            found = [one.value for one in outcomes]
+            found = []
+            for _ in range(2):  # successive runs with equal arguments
+                outcomes = run_cases(functions.restored, cases(), workers=workers, shared=(shared,))
+                found = [one.value for one in outcomes]
             assert [number for number, _, _ in found] == list(range(COUNT))
             assert {count for _, _, count in found} == {1}
             assert os.getpid() not in {process for _, process, _ in found}
@@ -382,7 +398,8 @@ def test_a_killed_run_is_resumed(tmp_path, sent):
     path, script = tmp_path / "outcomes.jsonl", tmp_path / "run.py"
     script.write_text(RUN)
     command = [sys.executable, script, path]
-    run = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.DEVNULL)
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    run = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     waited_for(lambda: path.exists() and path.read_bytes().count(b"\n") > 5)
     run.send_signal(sent)
     assert run.wait() != 0
