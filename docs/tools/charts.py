@@ -130,7 +130,7 @@ CHARTS = {
     "dockings": (draw_dockings, "python experiments/02_docking.py", 2.4),
     "successes": (draw_successes, "python experiments/08_successes_refuted.py", 2.4),
     "calls": (draw_calls, "python -m experiments.manoeuvres", 4.2),
-    "contact": (draw_contact, "python experiments/05_contact_forces.py --scale 4", 1.7),
+    "contact": (draw_contact, "python experiments/05_contact_forces.py", 1.7),
 }
 """Drawing function, command of the table, and height [inch]."""
 
