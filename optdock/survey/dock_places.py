@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.errors import InvalidValue, OptdockError
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, transform_points
 from optdock.impossibility import prove_straight_blocked
 from optdock.model.dock import DockDirection
 from optdock.planning.failures import check_ends
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
     from optdock.model.problem import DockingProblem
     from optdock.survey.grid import Box
 
@@ -44,6 +45,8 @@ class DockPlace(NamedTuple):
 def along_walls(problem: DockingProblem, spacing: float, region: Box | None = None) -> list[DockPlace]:
     """Return docks along the walls at which the docked robot has the required clearance and a free final straight.
 
+    Their stations overlap no obstacle.
+
     Args:
         problem: Robot, obstacles and a dock, whose station, direction and rules every proposed dock has.
         spacing: Distance between neighbouring docks along a wall [m].
@@ -63,7 +66,7 @@ def along_walls(problem: DockingProblem, spacing: float, region: Box | None = No
         x, y = (point + back * outward).tolist()
         pose = Pose2(x, y, math.atan2(-gear * outward[1], -gear * outward[0]))
         inside = region is None or (region.left <= x <= region.right and region.lower <= y <= region.upper)
-        if inside and _can_stand(free, pose):
+        if inside and _station_fits(problem.dock.footprint, pose, free) and _can_stand(free, pose):
             found.append(DockPlace(f"wall {len(found) + 1}", pose))
     return found
 
@@ -115,6 +118,17 @@ def _wall_points(problem: DockingProblem, spacing: float, width: float) -> Itera
                 first = 0.5 * (length - (count - 1) * spacing)
                 for number in range(count):
                     yield start + (first + number * spacing) * tangent, outward
+
+
+def _station_fits(station: Footprint | None, goal: Pose2, problem: DockingProblem) -> bool:
+    """Whether a station in front of a docked robot at `goal` overlaps no obstacle."""
+    import shapely
+
+    if station is None:
+        return True
+    outline = transform_points(goal.as_array()[None], station.vertices)[0]
+    near = problem.all_obstacles.in_box(outline.min(axis=0), outline.max(axis=0))
+    return not bool(shapely.intersects(shapely.Polygon(outline), shapely.polygons(near.vertices)).any())
 
 
 def _can_stand(problem: DockingProblem, goal: Pose2) -> bool:

@@ -87,6 +87,15 @@ def test_no_dock_where_the_straight_is_blocked():
     assert len(found) > 8
 
 
+def test_no_dock_whose_station_overlaps_an_obstacle():
+    """A cable duct in front of the lower wall, which does not touch the docked robots."""
+    duct = [(1.5, 0.03), (2.5, 0.03), (2.5, 0.06), (1.5, 0.06)]
+    found, without = (inside(along_walls(in_room(obstacles=some), 0.5)) for some in ([duct], []))
+    beside = [np.sum((docks[:, 1] < 0.3) & (abs(docks[:, 0] - 2.0) < 0.69)) for docks in (found, without)]
+    assert beside[0] == 0
+    assert beside[1] > 0
+
+
 def test_only_docks_in_the_region_with_consecutive_names():
     problem = in_room()
     every = along_walls(problem, 0.5)
