@@ -4,7 +4,8 @@
    its component.
 2. One question for every block of cells of one heading, see `Spacing`, more if obstacles divide it.
 3. The poses that the motions pass are answers of their cells.
-4. Questions for the cells where verdicts meet. The other cells share the answer of their block.
+4. Questions for the cells where verdicts meet, whose motions pass further cells. The other cells share the answer of
+   their block.
 
 The tiles of a round depend only on the results of earlier rounds, so the answers do not depend on the number of workers
 or on the order in which tiles are finished.
@@ -71,6 +72,7 @@ VERDICTS = {
     "impossible": CellState.IMPOSSIBLE,
     "not found": CellState.NOT_FOUND,
 }
+_PASSED_OVER = (CellState.UNKNOWN, CellState.CERTIFIED, CellState.NOT_FOUND)  # answered by a motion that passes them
 _VERIFIED = 512  # cells per tile for which a proof of impossibility is checked
 _TIMED = 64  # motions per case whose rests are timed
 _BETTER = 0.5  # [s] by which the rest of another motion must be cheaper to replace an answer
@@ -224,18 +226,22 @@ class _Rounds:
             asked = asked[self.found.verdict[asked] == CellState.UNKNOWN]
             self._ask(f"blocks {number}", self._tiles(asked))
 
-    def pass_on(self) -> None:
-        """Answer the cells that certified motions pass, and time the rests of the motions."""
+    def pass_on(self, stage: str = "rests", over: Sequence[CellState] = _PASSED_OVER) -> None:
+        """Answer the cells that certified motions pass, and time the rests of the motions.
+
+        Args:
+            stage: Prefix of the keys of the cases.
+            over: States of the cells that may be answered.
+        """
         found, best = self.found, self.passed
         prices = {cell: answer.price for cell, answer in found.asked.items() if answer.price is not None}
         known = np.array([prices.get(cell, math.inf) for cell in best.cell.tolist()])
-        is_free = np.isin(found.verdict[best.cell], (CellState.UNKNOWN, CellState.CERTIFIED))
-        best = best.rows(is_free & (best.price < known - _BETTER))
+        best = best.rows(np.isin(found.verdict[best.cell], over) & (best.price < known - _BETTER))
         best = best.rows(np.argsort(best.source, kind="stable"))
         groups = best.by_source()
         batches = [groups[at : at + _TIMED] for at in range(0, len(groups), _TIMED)]
         cases = [
-            Case(f"{self.name}rests {i}", ([(self._motion(group), group.s.tolist()) for group in batch],))
+            Case(f"{self.name}{stage} {i}", ([(self._motion(group), group.s.tolist()) for group in batch],))
             for i, batch in enumerate(batches)
         ]
         for batch, outcome in zip(batches, self.run(time_rests, cases), strict=True):
@@ -256,7 +262,7 @@ class _Rounds:
         self._ask("blocks left", self._tiles(left))
 
     def refine(self) -> None:
-        """Ask for cells where verdicts meet."""
+        """Ask for cells where verdicts meet, and answer the cells without a motion that the new motions pass."""
         for number in range(_PASSES):
             expected = self._expected()
             meets = meeting(expected.reshape(self.grid.shape)).ravel() | (expected == CellState.IMPOSSIBLE)
@@ -264,6 +270,7 @@ class _Rounds:
             if asked.size == 0:
                 break
             self._ask(f"cells {number}", self._tiles(asked))
+            self.pass_on(f"rests of cells {number}", (CellState.UNKNOWN, CellState.NOT_FOUND))
 
     def share(self) -> None:
         """Give the cells that are left the answer of the nearest answered cell of their block."""

@@ -123,6 +123,26 @@ def test_every_free_cell_has_a_verdict_even_if_no_rest_can_be_timed():
     assert not (answers.method == "").any()
 
 
+def test_a_cell_that_a_certified_motion_passes_is_certified_even_if_no_motion_was_found_from_it():
+    """By a motion that was found before, or by one of a cell that is asked because verdicts meet there."""
+    timed = [{"seconds": [5.0], "poses": [[1.0, 1.0, 0.0]], "stops": [0]}]
+
+    def surveyed(passes):
+        options = {"passes": passes, "timed": timed} if passes else {}
+        return drawn(lambda cell: "certified" if cell % 12 < 7 else "not found", **options)[2]
+
+    before = surveyed({})
+    first = min(cell for cell, one in before.asked.items() if one.verdict == "not found")
+    motions = [cell for cell, one in before.asked.items() if one.verdict == "certified"]
+    for source in (motions[0], motions[-1]):
+        answers = surveyed({source: [first]})
+        assert before.verdict[first] == CellState.NOT_FOUND
+        assert answers.verdict[first] == CellState.CERTIFIED
+        assert answers.method[first] == "inherited"
+        assert answers.source[first] == source
+        assert answers.seconds[first] == 5.0
+
+
 def test_the_cells_next_to_another_verdict_are_asked():
     """So that shared answers are at least one cell away from the border of the verdicts."""
     _, task, answers = drawn(lambda cell: "certified" if cell % 12 < 7 else "not found")
