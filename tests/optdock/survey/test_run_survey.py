@@ -21,7 +21,7 @@ from optdock.survey.table import columns_of
 from tests.optdock.runner.test_runner import Cluster
 from tests.optdock.survey.scenes import BACK_STATION, box, scenario
 
-SETTINGS = SurveySettings(within=2.1, resolution=0.25, headings=4, time_budget=0.1)
+SETTINGS = SurveySettings(within=2.1, resolution=0.25, headings=2, time_budget=0.1)
 GIVEN = scenario(box(1.9, 0, 2.1, 3))
 
 
