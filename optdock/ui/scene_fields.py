@@ -28,6 +28,7 @@ from optdock.plugins.registry import PluginChoice, available_plugins
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from optdock.model.limits import MotionLimits
     from optdock.model.problem import DockingProblem
     from optdock.ui.scene_edits import EditedScene
 
@@ -173,21 +174,44 @@ def _limit(name: str, slider: tuple[float, float, float]) -> SceneField:
     def is_given(problem: DockingProblem) -> bool:
         return not limit.steered or problem.robot.drive is Drive.ACKERMANN
 
-    field = _number(
-        f"robot.limits.{name}",
-        slider,
-        check=check_speed if limit.unit == "m/s" else lambda _: None,
-        is_given=is_given,
-        can_be_unlimited=not limit.finite,
-    )
+    def check(value: float) -> None:
+        if limit.unit == "m/s":
+            check_speed(value)
+
+    field = _number(f"robot.limits.{name}", slider, is_given=is_given, can_be_unlimited=not limit.finite)
 
     def write(scene: EditedScene, value: float | str) -> EditedScene:
-        edited = field.write(scene, value)
-        scenario = edited.scenario
-        given = dataclasses.replace(scenario, default_limits=scenario.default_limits - {name})
-        return dataclasses.replace(edited, scenario=given)
+        check(float(value))
+        return _with_limits(scene, scene.problem.robot.drive, {name: float(value)})
 
     return field._replace(write=write)
+
+
+def _with_limits(scene: EditedScene, drive: Drive, values: Mapping[str, float]) -> EditedScene:
+    """Return the scene with other limits and a drive that suits them.
+
+    `MotionLimits` reduces max_curvature to the curvature at max_steering_angle. A reduced value follows the angle, and
+    a value that would be reduced is refused.
+    """
+    robot, scenario = scene.problem.robot, scene.scenario
+    is_reduced = robot.limits.max_curvature == _curvature_of_steering(robot.limits)
+    free = {"max_curvature": math.inf} if is_reduced else {}
+    limits = dataclasses.replace(robot.limits, **{**free, **values})
+    asked = values.get("max_curvature", math.inf)
+    if limits.max_curvature < asked < math.inf:
+        raise InvalidValue(f"must be <= {limits.max_curvature:.4g} 1/m, the curvature at max_steering_angle")
+    turns = robot.turns_in_place and drive is Drive.DIFFERENTIAL
+    edited = _changed(scene, robot=dataclasses.replace(robot, limits=limits, drive=drive, turns_in_place=turns))
+    # In a file, an unlimited value has no key.
+    missing = {name for name, value in values.items() if math.isinf(value)}
+    default = (scenario.default_limits - values.keys()) | missing
+    return dataclasses.replace(edited, scenario=dataclasses.replace(edited.scenario, default_limits=default))
+
+
+def _curvature_of_steering(limits: MotionLimits) -> float:
+    return (
+        math.tan(limits.max_steering_angle) / limits.wheelbase if math.isfinite(limits.max_steering_angle) else math.inf
+    )
 
 
 def _choice(
@@ -244,11 +268,9 @@ def _with_outline(scene: EditedScene, footprint: Footprint) -> EditedScene:
 
 def _with_drive(scene: EditedScene, value: str) -> EditedScene:
     """Return the scene with another drive, without the limits and turns that it cannot have."""
-    robot, drive = scene.problem.robot, Drive(value)
-    if drive is Drive.DIFFERENTIAL:
-        limits = dataclasses.replace(robot.limits, **dict.fromkeys(STEERING_UNITS, math.inf))
-        return _changed(scene, robot=dataclasses.replace(robot, drive=drive, limits=limits))
-    return _changed(scene, robot=dataclasses.replace(robot, drive=drive, turns_in_place=False))
+    drive = Drive(value)
+    others = dict.fromkeys(STEERING_UNITS, math.inf) if drive is Drive.DIFFERENTIAL else {}
+    return _with_limits(scene, drive, others)
 
 
 def _approach_distance(scene: EditedScene) -> float:
@@ -324,8 +346,11 @@ def _robot_fields() -> Iterator[SceneField]:
     yield _choice(
         "robot.drive", lambda scene: scene.problem.robot.drive.value, _with_drive, lambda: tuple(d.value for d in Drive)
     )
-    yield _number(
+    wheelbase = _number(
         "robot.limits.wheelbase", (0.1, 4.0, 0.01), is_given=lambda problem: problem.robot.drive is Drive.ACKERMANN
+    )
+    yield wheelbase._replace(
+        write=lambda scene, value: _with_limits(scene, scene.problem.robot.drive, {"wheelbase": float(value)})
     )
     sliders = {
         "m/s": (0.05, 2.0, 0.01),
