@@ -14,23 +14,25 @@ from pydantic import ValidationError
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, planners, plugin_choice
 from optdock.config.scenario_keys import SECTIONS, ScenarioDocument, known_keys, synonym
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.geometry.arrays import frozen_array
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
 from optdock.io.quoting import shown
-from optdock.io.yaml_lines import load_yaml
+from optdock.io.yaml_lines import load_yaml, parse_yaml
 from optdock.model.limits import LIMIT_UNITS
 from optdock.model.problem import DockingProblem
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET, plan_dock
 from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.io.yaml_lines import Document
     from optdock.model.costmap import Costmap
     from optdock.planning.plan import DockPlan
 
-__all__ = ["Scenario", "demo_scenario", "load_scenario", "problem_of"]
+__all__ = ["Scenario", "demo_scenario", "load_scenario", "parse_scenario", "problem_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +52,8 @@ class Scenario:
         source: The file.
         default_limits: Names of the motion limits that are missing in the file; these limits have the defaults of
             `MotionLimits`.
+        polygons: Obstacles of the file as whole polygons, Shape (n, 2) [m] each; the problem has their convex pieces.
+            None if only the pieces are known.
     """
 
     problem: DockingProblem
@@ -61,6 +65,7 @@ class Scenario:
     goal_checker: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["goal_checker"])
     source: Path = Path("scenario.yaml")
     default_limits: frozenset[str] = frozenset()
+    polygons: tuple[FloatArray, ...] | None = None
 
     def plan(self, time_budget: float | None = None) -> DockPlan:
         """Plan with the plugins and the time budget of the file.
@@ -87,8 +92,26 @@ def load_scenario(source: str | Path) -> Scenario:
         InvalidFile: If the file cannot be read or violates the format. The message has one line per fault, with file,
             line, key, value and rule.
     """
-    source = Path(source)
-    located = load_yaml(source)
+    return _scenario(load_yaml(source), Path(source))
+
+
+def parse_scenario(text: str, name: str) -> Scenario:
+    """Return the scenario of a text, format `optdock-scenario/1`, without a map; no file is read.
+
+    Args:
+        text: Content of a scenario file.
+        name: Name of the text in messages.
+
+    Raises:
+        InvalidFile: If the text violates the format or names a map.
+    """
+    located = parse_yaml(text, Path(name))
+    if isinstance(located.value, Mapping) and located.value.get("map") is not None:
+        raise InvalidFile(located.fault(("map",), "is not allowed here; only a scenario file may name a map"))
+    return _scenario(located, Path(name))
+
+
+def _scenario(located: Document, source: Path) -> Scenario:
     if not isinstance(located.value, Mapping):
         raise InvalidFile(f"{source}: must be a mapping with the key format: optdock-scenario/1")
     format_ = located.value.get("format")
@@ -108,6 +131,7 @@ def load_scenario(source: str | Path) -> Scenario:
         time_budget=document.time_budget,
         source=source,
         default_limits=frozenset(LIMIT_UNITS) - document.robot.limits.model_fields_set,
+        polygons=tuple(frozen_array(polygon, "obstacles", columns=2) for polygon in document.obstacles),
         planner=planner,
         **choices,
     )

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.plugins.registry import PluginChoice
 
-__all__ = ["problem_document", "save_scenario"]
+__all__ = ["check_supported", "document_text", "problem_document", "save_scenario", "scenario_document"]
 
 
 def save_scenario(
@@ -66,16 +66,32 @@ def save_scenario(
             scenario file has no key.
     """
     target, problem = Path(target), scenario.problem
-    _check_supported(problem)
+    check_supported(problem)
     map_name, drawn = _map(target, problem.costmap, map_source)
-    document = problem_document(problem, map_name=map_name, obstacles=obstacles, omitted=scenario.default_limits)
+    document = scenario_document(scenario, map_name=map_name, obstacles=obstacles)
+    comment = "".join(f"# {line}\n" for line in note.splitlines())
+    write_text(target, comment + document_text(document))
+    return (target, *drawn)
+
+
+def scenario_document(
+    scenario: Scenario, *, map_name: str = "", obstacles: Sequence[ArrayLike] | None = None
+) -> dict[str, object]:
+    """Return the document of a scenario file, without its costmap.
+
+    Args:
+        scenario: The scenario.
+        map_name: Name of the map; empty if there is no map.
+        obstacles: As in `save_scenario`.
+    """
+    document = problem_document(
+        scenario.problem, map_name=map_name, obstacles=obstacles, omitted=scenario.default_limits
+    )
     document["time_budget"] = scenario.time_budget
     for kind in PLUGIN_DEFAULTS:
         if getattr(scenario, kind) != getattr(type(scenario), kind):
             document[kind] = _section(getattr(scenario, kind))
-    comment = "".join(f"# {line}\n" for line in note.splitlines())
-    write_text(target, comment + _yaml(document))
-    return (target, *drawn)
+    return document
 
 
 def problem_document(
@@ -105,7 +121,12 @@ def problem_document(
     }
 
 
-def _check_supported(problem: DockingProblem) -> None:
+def check_supported(problem: DockingProblem) -> None:
+    """Check that a scenario file has keys for all values of a problem.
+
+    Raises:
+        InvalidValue: If unknown cells are free or the dock has non-default tolerances.
+    """
     if problem.costmap is not None and not problem.unknown_is_obstacle:
         raise InvalidValue(
             "problem.unknown_is_obstacle: is always True in a scenario file; mark those cells free in the costmap"
@@ -164,8 +185,9 @@ def _dock(dock: Dock) -> dict[str, object]:
     document: dict[str, object] = {"pose": _pose(dock.pose)}
     document |= {"footprint": _outline(dock.footprint)} if dock.footprint is not None else {}
     document |= {"direction": dock.direction.value, "final_straight": dock.final_straight}
-    zone = {"approach_speed": dock.approach_speed, "approach_distance": dock.approach_distance}
-    document |= zone if math.isfinite(dock.approach_speed) and dock.approach_distance > 0.0 else {}
+    is_slow = dock.approach_distance > 0.0
+    document |= {"approach_speed": dock.approach_speed} if is_slow and math.isfinite(dock.approach_speed) else {}
+    document |= {"approach_distance": dock.approach_distance} if is_slow else {}
     document |= {"marker": list(dock.marker)} if dock.marker is not None else {}
     distances = {name: getattr(dock, name) for name in ("visible_distance", "blind_distance")}
     return document | {name: value for name, value in distances.items() if value > 0.0}
@@ -212,7 +234,8 @@ _Dumper.add_representer(
 )
 
 
-def _yaml(document: Mapping[str, object]) -> str:
+def document_text(document: Mapping[str, object]) -> str:
+    """Return the YAML text of a document, with polygons on one line each."""
     text: str = yaml.dump(
         dict(document), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True
     )

@@ -21,7 +21,7 @@ from optdock.io.quoting import printable, shortened, shown
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["Document", "Keys", "listed", "load_yaml"]
+__all__ = ["Document", "Keys", "listed", "load_yaml", "parse_yaml"]
 
 _MAX_FAULTS = 20  # that a message lists
 
@@ -90,7 +90,19 @@ def load_yaml(path: str | Path) -> Document:
             values with aliases expanded; every repeated key is listed.
     """
     path = Path(path)
-    text = read_text(path, MostBytes.YAML)
+    return parse_yaml(read_text(path, MostBytes.YAML), path)
+
+
+def parse_yaml(text: str, path: Path) -> Document:
+    """Return one YAML document from its text; no file is read.
+
+    Args:
+        text: The text.
+        path: Name of the document in messages.
+
+    Raises:
+        InvalidFile: As for `load_yaml`.
+    """
     try:
         _check_events(path, text)
         loader = _Loader(text)

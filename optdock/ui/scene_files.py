@@ -1,0 +1,226 @@
+"""Scenes that are read from files and written to files of one folder.
+
+Names of files may come from the page, so every file is inside the folder after links and `..` have been resolved: the
+named file, the map of a scenario and the image of a map.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.config import demo_scenario, load_scenario, save_scenario
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.geometry.pose import Pose2
+from optdock.io.guarded_file import is_regular
+from optdock.io.maps import load_map
+from optdock.io.plan_file import load_plan
+from optdock.io.quoting import shown
+from optdock.io.yaml_lines import load_yaml
+from optdock.model.costs import LETHAL, NO_INFORMATION
+from optdock.model.dock import DockDirection
+from optdock.planning.failures import check_ends
+from optdock.survey.dock_places import along_walls
+from optdock.survey.grid import Box
+from optdock.ui.scene_edits import EditedScene
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.config import Scenario
+    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.model.costmap import Costmap
+    from optdock.model.problem import DockingProblem
+
+__all__ = ["open_scene", "saved", "worked_scenes"]
+
+_NAME = re.compile(r"[^\W_][\w .+-]{0,99}", re.ASCII)
+_MOST_SCENARIOS = 200  # that are compared with a plan
+_WALL_SPACING = 0.5  # [m] between proposed docks
+_WALL_REACH = 3.0  # [m] beyond the nearest wall, for proposed docks
+_START_DISTANCE = 4.0  # [m] from the dock to a proposed start, at most
+
+
+def worked_scenes() -> tuple[Path, ...]:
+    """Return the scenario files of the worked scenes, sorted by name."""
+    return tuple(sorted(Path(__file__).with_name("scenes").glob("*.yaml")))
+
+
+def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
+    """Return the scene of a file.
+
+    Args:
+        source: Scenario file; map (map_server YAML), on which the robot of the built-in scenario is placed; plan file,
+            whose scenario is the one in its folder for which its certificate holds; None: the built-in scenario.
+            A relative name is relative to the folder.
+        folder: The folder; no file outside of it is read.
+
+    Raises:
+        InvalidFile: If a file cannot be read or does not match its format.
+        InvalidValue: If a file is outside the folder, the map has no place for the robot, or no scenario belongs to the
+            plan.
+    """
+    if source is None:
+        return EditedScene(load_scenario(demo_scenario()))
+    file = _inside(source, folder)
+    if file.suffix.lower() == ".json":
+        return _scene_of_plan(file, Path(folder))
+    content = load_yaml(file).value
+    if isinstance(content, Mapping) and "image" in content and "robot" not in content:
+        _named_in(content, "image", file, folder)
+        return EditedScene(_placed_on(file), file)
+    return _scene_of_scenario(file, folder)
+
+
+def saved(scene: EditedScene, name: str, folder: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
+    """Write the scenario of a scene into a folder.
+
+    Args:
+        scene: The scene.
+        name: Name of the file; `.yaml` is appended if it is missing.
+        folder: The folder.
+        overwrite: Whether existing files are replaced.
+
+    Returns:
+        The files written, the scenario first; if the scene has a map that is not a file of the folder, also the map.
+
+    Raises:
+        InvalidFile: If a file cannot be written.
+        InvalidValue: If the name has separators, begins with a dot or has other characters than letters, digits,
+            spaces and `_.+-`; if a file exists and `overwrite` is False; or if a scenario file has no key for a value.
+    """
+    if not (isinstance(name, str) and _NAME.fullmatch(name) and name == name.strip()):
+        raise InvalidValue(f"name: must be letters, digits, spaces and _.+-, without folders, got {shown(name)}")
+    if not name.lower().endswith((".yaml", ".yml")):
+        name = f"{name}.yaml"
+    target = Path(folder) / name
+    source = scene.map_source if scene.map_source is not None and _is_inside(scene.map_source, folder) else None
+    drawn = (
+        []
+        if scene.problem.costmap is None
+        else [target.with_name(f"{target.stem}_map{end}") for end in (".yaml", ".pgm")]
+    )
+    for file in (target, *drawn):
+        _inside(file, folder)
+        if os.path.lexists(file) and not overwrite:
+            raise InvalidValue(f"name: {file.name} exists")
+    return save_scenario(target, scene.scenario, obstacles=scene.polygons, map_source=source)
+
+
+def _is_inside(file: str | Path, folder: str | Path) -> bool:
+    """Whether a file, whose name is relative to the folder or absolute, is inside the folder."""
+    try:
+        root = Path(folder).resolve(strict=True)
+        return (root / file).resolve().is_relative_to(root)
+    except (OSError, ValueError, RuntimeError):  # no folder; a null byte; a loop of links
+        return False
+
+
+def _inside(file: str | Path, folder: str | Path) -> Path:
+    if not (isinstance(file, str | Path) and _is_inside(file, folder)):
+        raise InvalidValue(f"file: {shown(str(file))} is not in the folder of optdock ui, {shown(str(folder))}")
+    return Path(folder).resolve() / file
+
+
+def _named_in(content: Mapping[str, object], key: str, file: Path, folder: str | Path) -> Path | None:
+    """Return the file that is the value of a key, relative to the file with the key; None if there is none."""
+    name = content.get(key)
+    return _inside(file.parent / name, folder) if isinstance(name, str) else None
+
+
+def _scene_of_scenario(file: Path, folder: str | Path) -> EditedScene:
+    content = load_yaml(file).value
+    source = _named_in(content, "map", file, folder) if isinstance(content, Mapping) else None
+    if source is not None:
+        map_content = load_yaml(source).value
+        if isinstance(map_content, Mapping):
+            _named_in(map_content, "image", source, folder)
+    return EditedScene(load_scenario(file), source)
+
+
+def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
+    """Return the scene of the scenario beside a plan file for which the certificate of the plan holds."""
+    certificate = load_plan(file).certificate
+    known = None if certificate is None else certificate.get("problem")
+    for scene in _scenes_beside(file, folder):
+        same_name = scene.scenario.source.stem == file.stem
+        if scene.problem.fingerprint._asdict() == known or (known is None and same_name):
+            return scene
+    asked = "for which its certificate holds" if known is not None else f"{file.stem}.yaml, as it has no certificate"
+    raise InvalidValue(f"{file.name}: a plan file does not contain its scenario; in its folder is none {asked}")
+
+
+def _scenes_beside(file: Path, folder: Path) -> Iterator[EditedScene]:
+    """Yield the scenes of the scenarios in the folder of a plan file, that of its name first."""
+    files = [*file.parent.glob("*.yaml"), *file.parent.glob("*.yml")]
+    readable = [one for one in sorted(files) if is_regular(one) and _is_inside(one, folder)]
+    for candidate in sorted(readable, key=lambda one: one.stem != file.stem)[:_MOST_SCENARIOS]:
+        with suppress(InvalidFile, InvalidValue):  # other kinds of files
+            yield _scene_of_scenario(candidate, folder)
+
+
+def _placed_on(source: Path) -> Scenario:
+    """Return the built-in scenario on a map, with dock and start in free places of the map."""
+    scenario = load_scenario(demo_scenario())
+    costmap = load_map(source).costmap.frozen()
+    problem = dataclasses.replace(scenario.problem, costmap=costmap)
+    is_reachable, room = _free_places(problem, costmap)
+    if is_reachable.any():
+        for dock in _dock_poses(problem, costmap, is_reachable, room):
+            placed = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=dock))
+            placed = placed.starting_at(_start_pose(dock, costmap, is_reachable, room))
+            with suppress(OptdockError):
+                check_ends(placed)
+                return dataclasses.replace(scenario, problem=placed, source=source)
+    raise InvalidValue(f"{source.name}: has no free place for a robot of {problem.robot.footprint.length:g} m")
+
+
+def _free_places(problem: DockingProblem, costmap: Costmap) -> tuple[BoolArray, FloatArray]:
+    """Return the largest connected set of cells on which the robot can turn, and the room of every cell [m].
+
+    Shape (rows, columns) each.
+    """
+    from scipy import ndimage
+
+    is_free = np.pad((costmap.data != LETHAL) & (costmap.data != NO_INFORMATION), 1)
+    room: FloatArray = ndimage.distance_transform_edt(is_free)[1:-1, 1:-1] * costmap.resolution
+    needed = problem.robot.footprint.circumscribed_radius + problem.clearance.required + costmap.resolution
+    labels, count = ndimage.label(room >= needed)
+    largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=2)[1:])) if count else -1
+    return labels == largest, room
+
+
+def _dock_poses(
+    problem: DockingProblem, costmap: Costmap, is_reachable: BoolArray, room: FloatArray
+) -> Iterator[Pose2]:
+    """Yield docks at walls near the roomiest reachable place, the nearest first, and then the place itself."""
+    row, column = np.unravel_index(np.argmax(np.where(is_reachable, room, 0.0)), room.shape)
+    x, y = costmap.centre_of(np.array([[column, row]]))[0].tolist()
+    reach = float(room[row, column]) + _WALL_REACH
+    walls = along_walls(problem, _WALL_SPACING, Box(x - reach, y - reach, x + reach, y + reach))
+    before = -2.0 * problem.robot.footprint.circumscribed_radius
+    before = -before if problem.dock.direction is DockDirection.BACKWARD else before
+    for place in sorted(walls, key=lambda one: math.hypot(one.pose.x - x, one.pose.y - y)):
+        cell = costmap.cell_of((place.pose @ Pose2(before, 0.0, 0.0)).as_array()[None, :2])
+        if bool(costmap.has_cell(cell)[0]) and is_reachable[cell[0, 1], cell[0, 0]]:
+            yield place.pose
+    yield Pose2(x, y, 0.0)
+
+
+def _start_pose(dock: Pose2, costmap: Costmap, is_reachable: BoolArray, room: FloatArray) -> Pose2:
+    """Return the roomiest reachable pose that is about `_START_DISTANCE` from a dock and heads for it."""
+    rows, columns = np.nonzero(is_reachable)
+    centres = costmap.centre_of(np.column_stack((columns, rows)))
+    distance = np.hypot(centres[:, 0] - dock.x, centres[:, 1] - dock.y)
+    far = min(_START_DISTANCE, float(distance.max()))
+    best = np.argmax(np.where((distance <= far) & (distance >= 0.7 * far), room[rows, columns], 0.0))
+    x, y = centres[best].tolist()
+    return Pose2(x, y, math.atan2(dock.y - y, dock.x - x))
