@@ -1,0 +1,1 @@
+"""`optdock ui`: a page in the browser on which start, dock and obstacles are dragged."""
