@@ -41,7 +41,7 @@ __all__ = ["DrawnPlan", "MarkedPlace", "Method", "PlanOutcome", "drawn_plan"]
 PlanOutcome: TypeAlias = Literal["certified", "impossible", "refused", "cancelled"]
 Method: TypeAlias = Literal["planned", "deformed", "proven"]
 
-_SPACING = 0.02  # [m] between the points of a path
+_SPACING = 0.05  # [m] between the points of a path: a chord is 1.3 mm off an arc of 4 /m
 _OUTLINE_SPACING, _MOST_OUTLINES = 0.1, 150  # [m]
 _MOST_TIMES = 240  # at which the quantities of the motion are given, see `_few`
 _FAR = 2.0  # [m]: nearest points of obstacles farther away are not computed

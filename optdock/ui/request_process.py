@@ -54,7 +54,7 @@ _MOST_DOUBLED = 6  # times that the grace time doubles
 _POLLED = 0.2  # [s] between the checks of a process that computes
 _HANGS = 3.0  # [s] after a cancellation until a process that does not answer is replaced
 _LONGEST = 60.0  # [s] beyond its time budget until a call counts as lost
-_END_TIME = 2.0  # [s] until a process that does not end is killed
+_END_TIME = 2.0  # [s] for which the end of a process or thread is awaited
 _NEWEST, _CANCELLED = 0, 1  # places in the shared memory
 _ARGUMENTS = (
     "start", "dock", "robot", "obstacles", "clearance", "start_speed", "start_curvature", "costmap", "frame",
@@ -148,9 +148,11 @@ class RequestProcess:
     def close(self) -> None:
         """End the process; requests are not answered any more."""
         with self._changed:
+            if self._closed:
+                return
             self._closed = True
+            self._worker.alive.close()  # ends the process at once
             self._changed.notify_all()
-        self._worker.alive.close()  # ends the process at once
         if threading.current_thread() is not self._thread:
             self._thread.join(_END_TIME)
 
@@ -193,7 +195,7 @@ class RequestProcess:
             reason += f" ({self._worker.exit}) and was started again"
             if not self._closed:
                 logger.error("%s", reason)
-                self._replace()
+            self._replace()
             return _lost(request, reason)
 
     def _is_given_up(self, number: int) -> bool:
@@ -201,8 +203,10 @@ class RequestProcess:
         return self._closed or self._numbers[_CANCELLED] >= number
 
     def _replace(self) -> None:
-        self._worker.end()
-        self._worker = _Worker.start(self._numbers)
+        with self._changed:  # which `close` must not interrupt
+            if not self._closed:
+                self._worker.end()
+                self._worker = _Worker.start(self._numbers)
 
 
 class _Worker(NamedTuple):
@@ -261,11 +265,10 @@ class _Worker(NamedTuple):
         return "it still runs" if code is None else f"exit code {code}"
 
     def end(self) -> None:
+        """End the process at once."""
         self.alive.close()
+        self.process.kill()
         self.process.join(_END_TIME)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join(_END_TIME)
         self.line.close()
 
 
@@ -350,10 +353,15 @@ def _work(line: Connection, alive: Connection, numbers: Array[c_int64]) -> None:
         line.send_bytes(b"warm")
         while True:
             request = receiver.loads(line.recv_bytes())
-            call = _Call(numbers, request.number, _GRACE * 2 ** min(interrupted, _MOST_DOUBLED))
+            call = _Call(numbers, request.number, _grace(interrupted))
             answer = _computed(planning, request, call)
             interrupted = interrupted + 1 if call.is_superseded else 0
             line.send_bytes(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
+
+
+def _grace(interrupted: int) -> float:
+    """Return the grace time [s] after a number of successive calls that a newer request ended."""
+    return _GRACE * 2.0 ** min(interrupted, _MOST_DOUBLED)
 
 
 class _Call:
