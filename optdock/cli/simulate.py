@@ -6,7 +6,7 @@ import math
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -32,32 +32,15 @@ from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.config import Scenario
+    from optdock.config.simulated_drive import WorldDeviations
     from optdock.planning.plan import DockPlan
     from optdock.samples.tube import Deviations
     from optdock.simulation import Run
 
-__all__ = ["WorldDeviations", "demo", "driven", "simulate"]
+__all__ = ["demo", "simulate"]
 
 
-class WorldDeviations(NamedTuple):
-    """Disturbances in the simulation.
-
-    Args:
-        position_noise: Standard deviation of the measured x and y [m]; the default is typical of a docking sensor.
-        yaw_noise: Standard deviation of the measured yaw [rad].
-        lag: Time constant with which speed and yaw rate, or a car's steering angle, follow their commands [s].
-        latency: Delay of the commands [s], rounded to the nearest quarter of the control period.
-    """
-
-    position_noise: float = 0.001
-    yaw_noise: float = 0.001
-    lag: float = 0.06
-    latency: float = 0.04
-
-
-_USUAL = WorldDeviations()
-
-
+# The defaults of the disturbances are those of `WorldDeviations`, which is loaded only by the command.
 def simulate(  # noqa: PLR0913 - one parameter per option
     scenario: ScenarioArgument,
     *,
@@ -66,12 +49,10 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     seed: Annotated[int, typer.Option(help="Seed of the measurement noise; equal seeds give equal runs.", min=0)] = 0,
     position_noise: Annotated[
         float, typer.Option(metavar=METRES, help="Standard deviation of the measured x and y.")
-    ] = _USUAL.position_noise,
-    yaw_noise: Annotated[
-        float, typer.Option(metavar=RADIANS, help="Standard deviation of the measured yaw.")
-    ] = _USUAL.yaw_noise,
-    lag: Annotated[float, typer.Option(metavar=SECONDS, help="Time constant of the drive.")] = _USUAL.lag,
-    latency: Annotated[float, typer.Option(metavar=SECONDS, help="Delay of the commands.")] = _USUAL.latency,
+    ] = 0.001,
+    yaw_noise: Annotated[float, typer.Option(metavar=RADIANS, help="Standard deviation of the measured yaw.")] = 0.001,
+    lag: Annotated[float, typer.Option(metavar=SECONDS, help="Time constant of the drive.")] = 0.06,
+    latency: Annotated[float, typer.Option(metavar=SECONDS, help="Delay of the commands.")] = 0.04,
     plot: PlotOption = None,
     report: ReportOption = None,
     gif: Annotated[
@@ -85,6 +66,7 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
+        from optdock.config.simulated_drive import WorldDeviations, driven
         from optdock.reports.report import run_json, run_rows, table
         from optdock.simulation import beyond_proof
 
@@ -119,6 +101,7 @@ def demo(
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
+        from optdock.config.simulated_drive import driven
         from optdock.reports.report import limit_rows, plan_rows, run_rows, table
         from optdock.simulation import beyond_proof
 
@@ -204,45 +187,6 @@ def _refuse_fault(run: Run, left: str) -> None:
         typer.echo(fault, err=True)
     if faults:
         raise typer.Exit(ExitStatus.NOT_CERTIFIED)
-
-
-def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations = _USUAL) -> Run:
-    """Simulate the plan with the controller of the scenario until its goal checker reports docked.
-
-    The result of the DockGoalChecker, which also checks the heading, is added at the end.
-
-    Args:
-        scenario: Scenario with a controller and a goal checker.
-        plan: The plan.
-        seed: Seed of the noise.
-        world: Noise, lag and latency.
-
-    Raises:
-        InvalidValue: If a parameter is invalid.
-    """
-    from optdock.plugins.interfaces import Controller, GoalChecker
-    from optdock.plugins.lifecycle import PluginContext
-    from optdock.plugins.registry import create_plugin
-    from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
-
-    problem = scenario.problem
-    controller = create_plugin(Controller, scenario.controller.name, scenario.controller.parameters)
-    checker = create_plugin(GoalChecker, scenario.goal_checker.name, scenario.goal_checker.parameters)
-    second = create_plugin(GoalChecker, "DockGoalChecker")
-    beside = [] if isinstance(checker, type(second)) else [second]
-    for plugin in (controller, checker, *beside):
-        plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
-    # A controller that has a configured period is called with that period.
-    period = float(controller.parameters.model_dump().get("period") or SimulationSettings.period)
-    settings = SimulationSettings(
-        period=period,
-        actuation=Actuation(world.lag, world.lag, world.latency),
-        position_noise=world.position_noise,
-        yaw_noise=world.yaw_noise,
-        seed=seed,
-        obstacles=problem.all_obstacles,
-    )
-    return run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings, beside=beside)
 
 
 def _deviations(plan: DockPlan, run: Run) -> Deviations:

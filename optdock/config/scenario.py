@@ -23,9 +23,12 @@ from optdock.io.yaml_lines import load_yaml, parse_yaml
 from optdock.model.limits import LIMIT_UNITS
 from optdock.model.problem import DockingProblem
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET, plan_dock
+from optdock.plugins.interfaces import never_cancelled
 from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.io.yaml_lines import Document
@@ -67,11 +70,14 @@ class Scenario:
     default_limits: frozenset[str] = frozenset()
     polygons: tuple[FloatArray, ...] | None = None
 
-    def plan(self, time_budget: float | None = None) -> DockPlan:
+    def plan(
+        self, time_budget: float | None = None, *, cancel_checker: Callable[[], bool] = never_cancelled
+    ) -> DockPlan:
         """Plan with the plugins and the time budget of the file.
 
         Args:
             time_budget: Wall-clock time [s]; None: the time budget of the file.
+            cancel_checker: As in `plan_dock`.
 
         Raises:
             OptdockError: If no certified plan is found; see `plan_dock`.
@@ -82,6 +88,7 @@ class Scenario:
             planner=self.planner,
             smoother=self.smoother,
             timing=self.timing,
+            cancel_checker=cancel_checker,
         )
 
 

@@ -41,11 +41,11 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
 
-__all__ = ["PlanDrawing", "plan_picture_png", "refused_pose", "save_plan_picture", "show_plan_picture"]
+__all__ = ["VIEW_REASONS", "PlanDrawing", "plan_picture_png", "refused_pose", "save_plan_picture", "show_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # widths of the two paths [pt]
-_VIEW_REASONS = ("view", "approach_unseen")  # reasons of refusals for which the camera's cone is drawn
+VIEW_REASONS = ("view", "approach_unseen")  # reasons of refusals for which the camera's cone is drawn
 _FOOTPRINTS = 24  # largest number of outlines along a path
 
 
@@ -198,7 +198,7 @@ def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, pl
     """Mark the pose of a refusal, Shape (1, 3) or None, and the obstacle that the refusal names."""
     if place is not None:
         _mark(axes, problem, place, "refused here")
-    if place is not None and problem.required_view is not None and refusal.where.get("reason") in _VIEW_REASONS:
+    if place is not None and problem.required_view is not None and refusal.where.get("reason") in VIEW_REASONS:
         draw_cone(axes, problem.required_view, place[0])
     obstacles = problem.all_obstacles
     named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]

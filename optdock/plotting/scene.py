@@ -30,6 +30,7 @@ __all__ = [
     "DRAWN_BY_THE_MAP",
     "OutlineStyle",
     "View",
+    "camera_cone",
     "draw_arrow",
     "draw_cone",
     "draw_footprints",
@@ -37,6 +38,7 @@ __all__ = [
     "draw_shapes",
     "draw_sweep",
     "draw_view",
+    "view_cones",
     "view_of",
 ]
 
@@ -234,20 +236,25 @@ def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
     stretch = None if path is None else view.stretch(path)
     if path is None or stretch is None:
         return
-    poses = path.poses_at(np.linspace(*stretch, _CONES))
-    cones = [_cone(view, pose) for pose in poses]
+    cones = view_cones(view, path)
     label = f"camera, must see the marker from s = {stretch[0]:.2f} m to {stretch[1]:.2f} m"
     draw_shapes(axes, cones, OutlineStyle(face=COLOURS["goal"], alpha=0.10, order=1.2))
     draw_shapes(axes, cones, OutlineStyle(edge=COLOURS["goal"], width=0.9, alpha=0.8, order=1.3, label=label))
 
 
+def view_cones(view: RequiredView, path: Path) -> list[FloatArray]:
+    """Return camera cones along the part of a path where the marker must be in view, Shape (n, 2) each [m]."""
+    stretch = view.stretch(path)
+    return [] if stretch is None else [camera_cone(view, pose) for pose in path.poses_at(np.linspace(*stretch, _CONES))]
+
+
 def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
     """Draw the camera cone at a pose of the robot, Shape (3,), from which the marker is not in view."""
     style = OutlineStyle(edge=COLOURS["hot"], width=1.4, line="--", order=6.4, label="camera there")
-    draw_shapes(axes, [_cone(view, pose)], style)
+    draw_shapes(axes, [camera_cone(view, pose)], style)
 
 
-def _cone(view: RequiredView, pose: FloatArray) -> FloatArray:
+def camera_cone(view: RequiredView, pose: FloatArray) -> FloatArray:
     """Return the outline of the camera's cone at a pose of the robot, Shape (n, 2) [m]."""
     camera = view.camera
     distance = float(view.margins(pose[None]).distance[0])

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from optdock.runner.cases import Case
 
-__all__ = ["Workers"]
+__all__ = ["Workers", "end_with_owner"]
 
 _AHEAD = 4  # cases in progress per worker, so that none waits for the next case
 _ANSWER = 10.0  # [s] until a scheduler or the first worker of a cluster must have answered
@@ -168,7 +168,7 @@ class Workers:
         self._end_processes(at_once=True)
         context = multiprocessing.get_context("spawn")
         watched, self._alive = context.Pipe(duplex=False)
-        self._executor = ProcessPoolExecutor(self.count, context, initializer=_end_with, initargs=(watched,))
+        self._executor = ProcessPoolExecutor(self.count, context, initializer=end_with_owner, initargs=(watched,))
         try:
             self._executor.submit(_version).result()
         except BrokenProcessPool:
@@ -195,8 +195,12 @@ class _ThisProcess(Executor):
         return future
 
 
-def _end_with(alive: Connection) -> None:
-    """Let this process end at once when the other end of a connection is closed, also if its owner is killed."""
+def end_with_owner(alive: Connection) -> None:
+    """End this process at once when the other end of a connection is closed, also if its owner is killed.
+
+    Args:
+        alive: Receiving end of a pipe on which nothing is sent.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C reaches the whole group; the parent ends this process
 
     def watch() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import ControllerException, InvalidValue
+from optdock.errors import Cancelled, ControllerException, InvalidValue
 from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, pose_errors
@@ -18,6 +18,7 @@ from optdock.model.path import PathSamples
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive
 from optdock.model.trajectory import Trajectory
+from optdock.plugins.interfaces import never_cancelled
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
 from optdock.samples.tube import Tube
 from optdock.simulation.bicycle import plant_of
@@ -27,7 +28,7 @@ from optdock.simulation.world import Sensors, SimulatedRobot
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances, proven_for
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from optdock.geometry.obstacles import ObstacleSet
     from optdock.model.path import Path
@@ -164,6 +165,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     settings: SimulationSettings | None = None,
     *,
     beside: Sequence[GoalChecker] = (),
+    cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> Run:
     """Drive a trajectory in simulation until the goal checker accepts, the controller fails, or the timeout is reached.
 
@@ -178,8 +180,10 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
         goal_checker: Goal checker that decides when the run ends.
         settings: Settings; None: a perfect robot.
         beside: Additional goal checkers that are called once at the end of the run and do not affect the run.
+        cancel_checker: Polled in every period.
 
     Raises:
+        Cancelled: If `cancel_checker` returned True.
         InvalidValue: If two goal checkers have the same name, or actuation and steering do not fit the drive.
     """
     settings, checkers = settings or SimulationSettings(), (goal_checker, *beside)
@@ -208,7 +212,8 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     )
     remaining = RemainingPath(trajectory.path)
     timeout = 1.5 * trajectory.duration + 10.0 if settings.timeout is None else settings.timeout
-    docked, reason = _drive(world, remaining, controller, goal_checker, settings.period, timeout)
+    rounds = settings.period, timeout, cancel_checker
+    docked, reason = _drive(world, remaining, controller, goal_checker, rounds)
     verdicts = {goal_checker.name: docked}
     verdicts |= {checker.name: _is_reached(checker, world, remaining) for checker in beside}
     record = world.record()
@@ -234,11 +239,17 @@ def _drive(
     remaining: RemainingPath,
     controller: Controller,
     goal_checker: GoalChecker,
-    period: float,
-    timeout: float,
+    rounds: tuple[float, float, Callable[[], bool]],
 ) -> tuple[bool, str]:
-    """Run the loop; return whether the robot docked, and if not, the reason."""
+    """Run the loop; return whether the robot docked, and if not, the reason.
+
+    Raises:
+        Cancelled: If the cancel checker, the last of `rounds` after period and timeout [s], returned True.
+    """
+    period, timeout, cancel_checker = rounds
     for left in range(math.ceil(timeout / period), -1, -1):
+        if cancel_checker():
+            raise Cancelled("simulation: cancelled")
         if _is_reached(goal_checker, world, remaining):
             return True, ""
         if left == 0:

@@ -37,7 +37,7 @@ from optdock.plugins.registry import plugin_from
 from optdock.survey.tails import PassedCells, passed_cells
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from optdock.config import Scenario
     from optdock.geometry.arrays import FloatArray
@@ -224,9 +224,23 @@ class _Work:
         return None, 0
 
 
-def deformed_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_budget: float) -> DockPlan | None:
-    """Return the certified plan along a path deformed to the start of the problem, or None."""
-    work = _refinement(problem, scenario, time_budget)
+def deformed_plan(
+    path: Path,
+    problem: DockingProblem,
+    scenario: Scenario,
+    time_budget: float,
+    cancel_checker: Callable[[], bool] = never_cancelled,
+) -> DockPlan | None:
+    """Return the certified plan along a path deformed to start and dock of the problem; None if there is none.
+
+    Args:
+        path: Path of clothoids and turns in place.
+        problem: The problem.
+        scenario: Plugins.
+        time_budget: Time for the whole call [s].
+        cancel_checker: Polled during the call; if it returns True, the result is None.
+    """
+    work = _refinement(problem, scenario, time_budget, cancel_checker)
     moved, certificate = work.deformed(path, _PUSHES, steers=False)
     if certificate is None or not certificate.certified:
         return None
@@ -242,10 +256,15 @@ def proven_plan(path: Path, problem: DockingProblem, scenario: Scenario, time_bu
     return None
 
 
-def _refinement(problem: DockingProblem, scenario: Scenario, time_budget: float) -> Refinement:
+def _refinement(
+    problem: DockingProblem,
+    scenario: Scenario,
+    time_budget: float,
+    cancel_checker: Callable[[], bool] = never_cancelled,
+) -> Refinement:
     smoother = plugin_from(Smoother, scenario.smoother, "smoother")
     timing = plugin_from(TimeParameterizer, scenario.timing, "timing")
-    limits = Cancellation(never_cancelled), time_budget, Deadline(time_budget), dict[str, float]()
+    limits = Cancellation(cancel_checker), time_budget, Deadline(time_budget), dict[str, float]()
     return Refinement(problem, smoother, timing, None, *limits)
 
 

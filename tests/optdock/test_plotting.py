@@ -35,7 +35,7 @@ from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, n
 from optdock.plotting.marker_picture import draw_marker_array
 from optdock.plotting.plan_picture import _draw_closest, refused_pose
 from optdock.plotting.profile_picture import motion_panels
-from optdock.plotting.scene import _cone, draw_scene, view_of
+from optdock.plotting.scene import camera_cone, draw_scene, view_of
 from optdock.ros import path_markers
 from optdock.ros.bag import bag_types
 from optdock.simulation import Run
@@ -412,7 +412,7 @@ def test_a_cone_is_drawn_with_the_marker_inside_exactly_where_it_is_seen(path, p
         pose = np.array([*(view.marker + rng.uniform(-1.5, 1.5, 2)), rng.uniform(-3.0, 3.0)])
         margin = float(view.margins(pose[None]).smallest[0])
         if abs(margin) > 2e-3:  # arcs are drawn as polygons
-            assert Polygon(_cone(view, pose)).contains(Point(view.marker)) == (margin > 0.0)
+            assert Polygon(camera_cone(view, pose)).contains(Point(view.marker)) == (margin > 0.0)
             seen += margin > 0.0
     assert seen > 10
 

@@ -25,7 +25,8 @@ from optdock.reports.html.figures import (
     swept_area,
 )
 from optdock.reports.html.page import Chapter, Chart, Content, Player, Readout, Table
-from optdock.reports.html.plan_chapter import clearance_chart, shown_view, start_relief, thinned
+from optdock.reports.html.plan_chapter import clearance_chart, shown_view, start_relief
+from optdock.reports.shown_motion import thinned
 from optdock.samples.tube import Tube
 
 if TYPE_CHECKING:

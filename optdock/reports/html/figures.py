@@ -46,6 +46,7 @@ __all__ = [
     "draw_point",
     "draw_robot",
     "layer_figure",
+    "rings_of",
     "scene_figure",
     "swept_area",
 ]
@@ -382,12 +383,17 @@ def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> list[Legen
 
 def draw_area(axes: plotting.figure, area: shapely.Geometry, style: Outline) -> None:
     """Draw a polygon or several, with holes."""
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon" and not part.is_empty]
-    if not parts:
+    rings = rings_of(area)
+    if not rings:
         return
-    rings = [[shapely.get_coordinates(ring) for ring in (part.exterior, *part.interiors)] for part in parts]
     xs, ys = ([[[np.round(ring[:, i], 4).tolist() for ring in part] for part in rings]] for i in (0, 1))
     _draw(axes, "MultiPolygons", {"xs": xs, "ys": ys}, **_inks(style))
+
+
+def rings_of(area: shapely.Geometry) -> list[list[FloatArray]]:
+    """Return the outline and the holes of every polygon of an area, Shape (n, 2) each [m]."""
+    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon" and not part.is_empty]
+    return [[shapely.get_coordinates(ring) for ring in (part.exterior, *part.interiors)] for part in parts]
 
 
 def draw_outlines(axes: plotting.figure, footprint: Footprint, poses: FloatArray, style: Outline) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -12,10 +12,7 @@ import shapely
 from optdock.geometry.obstacles import in_words
 from optdock.impossibility import BlockedStraight
 from optdock.io.plan_file import CERTIFIED
-from optdock.model.limits import LIMITS, STEERING_UNITS
-from optdock.model.trajectory import Trajectory
 from optdock.plotting.plan_picture import refused_pose
-from optdock.plotting.profile_picture import MotionPanel, motion_panels
 from optdock.plotting.scene import View, view_of
 from optdock.reports.html.certificate_words import claimed, plan_tables, plan_texts
 from optdock.reports.html.figures import (
@@ -33,7 +30,7 @@ from optdock.reports.html.figures import (
 )
 from optdock.reports.html.page import Chapter, Chart, Content, Player, Readout
 from optdock.reports.plan_file_verdict import judge_plan_file
-from optdock.verification import end_clearances, pose_clearances
+from optdock.reports.shown_motion import clearance_curve, shown_motion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -42,36 +39,19 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Pose2
-    from optdock.io.plan_file import PlanFile, TrajectoryColumns
+    from optdock.impossibility import ImpossibilityProof
+    from optdock.io.plan_file import PlanFile
     from optdock.model.clearance_rule import ClearanceRule
-    from optdock.model.limits import MotionLimits
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from optdock.reports.html.page import Block
     from optdock.reports.plan_file_verdict import PlanFileVerdict
+    from optdock.reports.shown_motion import ShownMotion
 
-__all__ = ["clearance_chart", "plan_chapter", "shown_view", "start_relief", "thinned"]
+__all__ = ["clearance_chart", "enclosed_area", "plan_chapter", "plan_summary", "shown_view", "start_relief"]
 
 _SPACING = 0.02  # [m] between drawn points of a path
-_MOST_POINTS = 400  # of a curve, and poses of the player
 _AROUND = 0.5  # [m] around a path whose scene is not known
-_FAR = 2.0  # [m]: largest drawn clearance
-
-
-class _DrawnMotion(NamedTuple):
-    """Motion along the horizontal axis of the figures: time, or arc length without a trajectory."""
-
-    clock: str
-    unit: str
-    at: FloatArray
-    poses: FloatArray
-    panels: Sequence[MotionPanel]
-    panels_at: FloatArray
-    cusps: FloatArray
-
-    @property
-    def label(self) -> str:
-        return f"{self.clock} [{self.unit}]"
 
 
 def plan_chapter(name: str, plan: PlanFile, problem: DockingProblem | None = None) -> Chapter:
@@ -89,11 +69,11 @@ def plan_chapter(name: str, plan: PlanFile, problem: DockingProblem | None = Non
     outcome, grade, severity = _outcome(plan, verdict)
     rank = (severity, claimed(plan, "margin", math.inf))
     content = functools.partial(_content, plan, problem, verdict)
-    return Chapter(name, "plans", outcome, grade, _summary(plan), content, _numbers(plan), rank)
+    return Chapter(name, "plans", outcome, grade, plan_summary(plan), content, _numbers(plan), rank)
 
 
 def _content(plan: PlanFile, problem: DockingProblem | None, verdict: PlanFileVerdict | None) -> Content:
-    motion = None if plan.path is None else _motion(plan, plan.path, problem)
+    motion = None if plan.path is None else shown_motion(plan, plan.path, problem)
     blocks: list[Block] = []
     player, tightest = None, None
     if motion is not None:
@@ -123,7 +103,8 @@ def _outcome(plan: PlanFile, verdict: PlanFileVerdict | None) -> tuple[str, str,
     return words.get(verdict.outcome, verdict.outcome), grade, 2.0 if verdict else 1.5
 
 
-def _summary(plan: PlanFile) -> str:
+def plan_summary(plan: PlanFile) -> str:
+    """Return the reason of the failure, or length, duration, least clearance and time of planning, in one line."""
     if plan.error is not None:
         return plan.error.message
     parts = []
@@ -164,62 +145,7 @@ def _numbers(plan: PlanFile) -> dict[str, object]:
 # The motion and its figures.
 
 
-def thinned(count: int, most: int = _MOST_POINTS) -> FloatArray:
-    """Return at most `most` rows of `count` rows at equal distances, with the first and the last one."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
-
-
-def _motion(plan: PlanFile, path: Path, problem: DockingProblem | None) -> _DrawnMotion:
-    columns = plan.trajectory
-    limits = None if problem is None else problem.robot.limits
-    if columns is None:
-        s = np.linspace(0.0, path.length, _MOST_POINTS)
-        bent = MotionPanel(LIMITS["max_curvature"].label, path.curvature_at(s), *_bounds(limits, "max_curvature", s))
-        panels = [bent, *_steering(limits, path, s)]
-        return _DrawnMotion("arc length", "m", s, path.poses_at(s), panels, s, np.array(path.cusps))
-    rows = thinned(columns.t.size)
-    at, poses = columns.t[rows], np.column_stack((columns.x, columns.y, columns.yaw))[rows]
-    if plan.time_law is None or problem is None or limits is None:
-        return _DrawnMotion("time", "s", at, poses, _sampled_panels(columns, limits, rows), at, np.zeros(0))
-    trajectory = Trajectory(path, plan.time_law)
-    begun = np.concatenate(([0.0], np.cumsum(plan.time_law.durations)))
-    times = np.union1d(
-        np.clip(at - at[0], 0.0, trajectory.duration), np.clip([begun, begun - 1e-6], 0.0, trajectory.duration)
-    )
-    panels = motion_panels(trajectory, limits, problem.dock.approach, times)
-    panels += _steering(limits, path, trajectory.sample_at(times).s)
-    return _DrawnMotion("time", "s", at, poses, panels, times + at[0], trajectory.cusp_times + at[0])
-
-
-def _sampled_panels(columns: TrajectoryColumns, limits: MotionLimits | None, rows: FloatArray) -> list[MotionPanel]:
-    """Return the quantities of a motion that is known by samples."""
-    names = {
-        "speed": "max_speed", "acceleration": "max_acceleration", "jerk": "max_jerk", "yaw_rate": "max_yaw_rate",
-        "yaw_acceleration": "max_yaw_acceleration",
-    }  # fmt: skip
-    return [
-        MotionPanel(LIMITS[limit].label, getattr(columns, name)[rows], *_bounds(limits, limit, rows))
-        for name, limit in names.items()
-    ]
-
-
-def _bounds(limits: MotionLimits | None, name: str, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    upper = np.full(len(rows), math.inf if limits is None else getattr(limits, name))
-    below = upper if limits is None or name != "max_speed" else np.full(len(rows), limits.max_reverse_speed)
-    return -below, upper
-
-
-def _steering(limits: MotionLimits | None, path: Path, s: FloatArray) -> list[MotionPanel]:
-    """Return the steering angle along the path, if the robot has a wheelbase."""
-    if limits is None or limits.wheelbase == 0.0:
-        return []
-    angle = limits.steering_angle(path.curvature_at(s)) * path.direction_at(s)
-    most = min(limits.max_steering_angle, math.atan(limits.wheelbase * limits.max_curvature))
-    label = f"steering angle [{STEERING_UNITS['max_steering_angle']}]"
-    return [MotionPanel(label, angle, np.full(s.size, -most), np.full(s.size, most))]
-
-
-def _motion_charts(motion: _DrawnMotion) -> Iterator[Chart]:
+def _motion_charts(motion: ShownMotion) -> Iterator[Chart]:
     for panel in motion.panels:
         name, _, unit = panel.label.partition(" [")
         unit = unit.rstrip("]")
@@ -239,7 +165,7 @@ def _motion_charts(motion: _DrawnMotion) -> Iterator[Chart]:
         yield Chart(name.capitalize(), f"{text}.", figure, legend)
 
 
-def _readouts(motion: _DrawnMotion) -> Iterator[Readout]:
+def _readouts(motion: ShownMotion) -> Iterator[Readout]:
     """Generate the values of all quantities at the poses of the player."""
     for panel in motion.panels:
         name, _, unit = panel.label.partition(" [")
@@ -269,12 +195,8 @@ def clearance_chart(
         rule: Clearance rule: that of the path, with the tracking tube, or that of driven poses.
         relief: Start relief of the rule [m].
     """
-    clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
-    from_goal, from_start = (
-        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
-    )
-    required = rule.required_at(from_goal, from_start, end_clearances(problem).start, relief)
-    margins = clearances - required
+    clearances, required, rows = curve = clearance_curve(poses, problem, rule, relief)
+    margins = curve.margins
     k = int(np.argmin(margins))
     curves = [
         Curve("clearance", at, clearances),
@@ -315,7 +237,7 @@ def shown_view(problem: DockingProblem | None, paths: Sequence[FloatArray]) -> V
 
 
 def _scene(
-    plan: PlanFile, problem: DockingProblem | None, motion: _DrawnMotion | None, tightest: FloatArray | None
+    plan: PlanFile, problem: DockingProblem | None, motion: ShownMotion | None, tightest: FloatArray | None
 ) -> Iterator[Chart]:
     drawn = [each for each in (plan.raw_path, plan.path) if each is not None]
     place = _refused(plan, problem, drawn[-1] if drawn else None)
@@ -412,6 +334,10 @@ def _draw_proof(axes: plotting.figure, plan: PlanFile, problem: DockingProblem) 
         yield LegendEntry("blocked", "hot", "dashed")
     elif proof is not None:
         colour = "start" if proof.end == "start" else "goal"
-        reached = shapely.union_all([shapely.Polygon(square) for square in proof.squares()])
-        draw_area(axes, reached, Outline(colour, "", 0.3))
+        draw_area(axes, enclosed_area(proof), Outline(colour, "", 0.3))
         yield LegendEntry(f"enclosed area around the {proof.end}", colour, "faint")
+
+
+def enclosed_area(proof: ImpossibilityProof) -> shapely.Geometry:
+    """Return the positions that a proof encloses at some heading, as polygons with holes [m]."""
+    return shapely.union_all([shapely.Polygon(square) for square in proof.squares()])

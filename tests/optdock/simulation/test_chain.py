@@ -7,8 +7,8 @@ import pytest
 
 from checkers.axis import AxisGoalChecker
 from checkers.dock_goal import DockGoalChecker
-from optdock.cli.simulate import WorldDeviations, driven
 from optdock.config import demo_scenario, load_scenario
+from optdock.config.simulated_drive import WorldDeviations, driven
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2
