@@ -23,6 +23,7 @@ from optdock.cli.replay import replay
 from optdock.cli.report import report
 from optdock.cli.simulate import demo, simulate
 from optdock.cli.survey import survey
+from optdock.cli.ui import ui
 
 __all__ = ["app", "main"]
 
@@ -101,6 +102,6 @@ def schema(
             write_text(out, text + "\n")
 
 
-for _command in (plan, simulate, certify, survey, compare, report, demo, replay, calibrate, bag, plugins, schema):
+for _command in (plan, simulate, certify, survey, ui, compare, report, demo, replay, calibrate, bag, plugins, schema):
     app.command()(_command)
 app.add_typer(importing, name="import")

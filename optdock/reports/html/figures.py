@@ -42,6 +42,7 @@ __all__ = [
     "curve_figure",
     "draw_area",
     "draw_curve",
+    "draw_map",
     "draw_outlines",
     "draw_point",
     "draw_robot",
@@ -298,7 +299,7 @@ def scene_figure(view: View, problem: DockingProblem | None = None) -> tuple[plo
         return axes, legend
     box = shapely.box(left, bottom, right, top)
     if problem.costmap is not None:
-        legend += _draw_map(axes, problem.costmap, view)
+        legend += draw_map(axes, problem.costmap, view)
         beyond = box - shapely.box(*problem.costmap.lower, *problem.costmap.upper)
         draw_area(axes, beyond, Outline("unknown"))
         legend += [] if beyond.is_empty else [LegendEntry("beyond the map", "unknown", "area")]
@@ -354,7 +355,7 @@ def layer_figure(x: FloatArray, y: FloatArray, layers: Sequence[NDArray[np.uint8
     return axes
 
 
-def _draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> list[LegendEntry]:
+def draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> list[LegendEntry]:
     """Draw the cells of the map in the view; blocks of cells of large maps show their worst cell."""
     from bokeh.models import LinearColorMapper
 

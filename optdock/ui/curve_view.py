@@ -1,0 +1,123 @@
+"""Figures of the quantities of a motion with their limits, and the player with the common time cursor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from optdock.reports.html.figures import PALETTE, axes_of
+
+if TYPE_CHECKING:
+    from bokeh import plotting
+    from bokeh.models import ColumnDataSource, Span
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.plotting.profile_picture import MotionPanel
+    from optdock.reports.shown_motion import ShownMotion
+
+__all__ = ["CurveView"]
+
+# Moves the robot and the cursors to the row of the slider.
+_MOVE = """
+const {at, x, y, yaw} = motion.data, shape = outline.data, k = Math.min(slider.value, at.length - 1);
+if (k < 0) { ghost.data = {x: [], y: []}; return; }
+const c = Math.cos(yaw[k]), s = Math.sin(yaw[k]), xs = [], ys = [];
+for (let i = 0; i < shape.x.length; i++) {
+  xs.push(x[k] + c * shape.x[i] - s * shape.y[i]);
+  ys.push(y[k] + s * shape.x[i] + c * shape.y[i]);
+}
+ghost.data = {x: xs, y: ys};
+for (const cursor of cursors) cursor.location = at[k];
+slider.title = `${at[k].toFixed(2)} s`;
+"""
+# Advances the slider in real time until its end, or until the button is released.
+_PLAY = """
+if (!button.active) return;
+if (slider.value >= slider.end) slider.value = 0;
+const begun = performance.now(), from = motion.data.at[slider.value] ?? 0;
+const advance = () => {
+  if (!button.active) return;
+  const at = motion.data.at, wanted = from + (performance.now() - begun) / 1000;
+  let k = slider.value;
+  while (k < at.length - 1 && at[k] < wanted) k++;
+  slider.value = k;
+  if (k >= at.length - 1) button.active = false; else requestAnimationFrame(advance);
+};
+requestAnimationFrame(advance);
+"""
+
+
+class CurveView:
+    """Curves of a motion, and a player that moves a robot along it.
+
+    Args:
+        ghost: Data of the robot that the player moves.
+        variant: Variant of the colours of `PALETTE`.
+    """
+
+    def __init__(self, ghost: ColumnDataSource, variant: int) -> None:
+        from bokeh.layouts import column
+        from bokeh.models import ColumnDataSource, CustomJS, Slider, Toggle
+
+        self._variant = variant
+        self._labels: tuple[str, ...] = ()
+        self._axes: list[tuple[plotting.figure, ColumnDataSource, Span]] = []
+        self.charts = column([], sizing_mode="stretch_width")
+        self.slider = Slider(start=0, end=1, value=0, step=1, title="time", sizing_mode="stretch_width", name="player")
+        self.play = Toggle(label="Play", width=80, name="play")
+        self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw")})
+        self._outline = ColumnDataSource({"x": [], "y": []})
+        known: dict[str, Any] = {"motion": self._motion, "slider": self.slider}
+        self._move = CustomJS(args={**known, "outline": self._outline, "ghost": ghost, "cursors": []}, code=_MOVE)
+        self.slider.js_on_change("value", self._move)
+        self._motion.js_on_change("data", self._move)
+        self.play.js_on_change("active", CustomJS(args={**known, "button": self.play}, code=_PLAY))
+
+    def show(self, motion: ShownMotion | None, outline: FloatArray) -> None:
+        """Show the curves of a motion, and put the player at its beginning."""
+        panels = () if motion is None else tuple(motion.panels)
+        labels = tuple(panel.label for panel in panels)
+        if labels != self._labels:
+            self._labels = labels
+            self._axes = [self._figure(panel) for panel in panels]
+            self._move.args = {**self._move.args, "cursors": [cursor for _, _, cursor in self._axes]}
+            self.charts.children = [axes for axes, _, _ in self._axes]
+        if motion is not None:
+            for panel, (axes, source, _) in zip(panels, self._axes, strict=True):
+                self._show_panel(motion, panel, axes, source)
+        self.show_player(*((np.zeros(0), np.zeros((0, 3))) if motion is None else (motion.at, motion.poses)), outline)
+
+    def show_player(self, at: FloatArray, poses: FloatArray, outline: FloatArray) -> None:
+        """Let the player move along poses, Shape (n, 3), at times, Shape (n,) [s]."""
+        self._outline.data = {"x": outline[:, 0], "y": outline[:, 1]}
+        self.play.active = False
+        self.slider.update(end=max(1, len(at) - 1), value=0, disabled=len(at) < 2)
+        self._motion.data = {"at": at, "x": poses[:, 0], "y": poses[:, 1], "yaw": poses[:, 2]}
+
+    def _figure(self, panel: MotionPanel) -> tuple[plotting.figure, ColumnDataSource, Span]:
+        from bokeh.models import ColumnDataSource, Line, Span
+
+        paper = PALETTE["ink"][self._variant]
+        axes = axes_of("time [s]", panel.label, height=150, x_range=(0.0, 1.0), y_range=panel.axis_range, tools="")
+        axes.toolbar_location = None
+        source = ColumnDataSource({name: [] for name in ("at", "value", "upper", "lower")})
+        limit = {"line_color": PALETTE["limit"][self._variant], "line_dash": "dashed", "line_width": 1.5}
+        for name in ("upper", "lower"):
+            axes.add_glyph(source, Line(x="at", y=name, **limit))
+        axes.add_glyph(source, Line(x="at", y="value", line_color=PALETTE["path"][self._variant], line_width=2.0))
+        cursor = Span(location=0.0, dimension="height", line_color=paper, line_width=1.0)
+        axes.add_layout(cursor)
+        return axes, source, cursor
+
+    def _show_panel(
+        self, motion: ShownMotion, panel: MotionPanel, axes: plotting.figure, source: ColumnDataSource
+    ) -> None:
+        axes.xaxis.axis_label = motion.label
+        axes.x_range.update(start=float(motion.panels_at[0]), end=float(motion.panels_at[-1]))
+        axes.y_range.update(**dict(zip(("start", "end"), map(float, panel.axis_range), strict=True)))
+        bounds = {
+            name: np.where(np.isfinite(bound), bound, np.nan)
+            for name, bound in (("upper", panel.upper), ("lower", panel.lower))
+        }
+        source.data = {"at": motion.panels_at, "value": panel.values, **bounds}

@@ -1,0 +1,51 @@
+"""Answers of the planning process as HTML."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from optdock.reports.html.page import Table, Text
+    from optdock.ui.drawn_plan import DrawnPlan
+    from optdock.ui.driven_plan import DrivenPlan
+
+__all__ = ["answer_html", "drive_text", "status_html"]
+
+
+def answer_html(drawn: DrawnPlan) -> str:
+    """Return certificate or refusal, values and tried guesses of an answer."""
+    return "".join((*map(_text_html, drawn.texts), *map(_table_html, drawn.tables)))
+
+
+def status_html(scene: str, drawn: DrawnPlan | None, doing: str) -> str:
+    """Return the outcome in one line, with the fingerprints of the scene and of the answer that is shown.
+
+    Args:
+        scene: Fingerprint of the scene.
+        drawn: The answer that is shown, or None.
+        doing: What the process does; empty if it waits.
+    """
+    shown, outcome, headline = ("", "", "") if drawn is None else (drawn.fingerprint, drawn.outcome, drawn.headline)
+    grade = f"{outcome}{' stale' if shown != scene else ''}"
+    words = f"{outcome}; {doing}" if outcome and doing else doing or outcome
+    places = f'data-scene="{escape(scene)}" data-shown="{escape(shown)}" data-doing="{escape(doing)}"'
+    return f'<p {places} class="{grade}"><b>{escape(words)}</b> {escape(headline)}</p>'
+
+
+def drive_text(drive: DrivenPlan) -> str:
+    """Return the outcome of a simulated drive and its values in one line."""
+    values = "; ".join(f"{name} {value}" for name, value in drive.rows)
+    return f"simulated drive: {', '.join(part for part in (drive.outcome, drive.reason) if part)}: {values}"
+
+
+def _text_html(text: Text) -> str:
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in text.sentences)
+    return f"<section><h3>{escape(text.title)}</h3><ul>{sentences}</ul></section>"
+
+
+def _table_html(table: Table) -> str:
+    head = "".join(f"<th>{escape(str(cell))}</th>" for cell in table.head)
+    rows = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in table.rows)
+    body = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    return f"<section><h3>{escape(table.title)}</h3>{body}</section>"

@@ -1,0 +1,129 @@
+"""The scene of a page with its earlier versions, the selected part, and edits by buttons and keys."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Protocol
+
+from optdock.errors import OptdockError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.plotting.scene import View
+    from optdock.ui.scene_edits import EditedScene
+
+__all__ = ["STEP", "TURN", "SceneHistory"]
+
+STEP, TURN = 0.05, math.radians(5.0)  # [m], [rad] of a button or key
+_MOST = 100  # earlier scenes
+_MOVES = {"ArrowLeft": (-STEP, 0.0), "ArrowRight": (STEP, 0.0), "ArrowUp": (0.0, STEP), "ArrowDown": (0.0, -STEP)}
+_TURNS = {"q": TURN, "e": -TURN}
+
+
+class SceneChanged(Protocol):
+    """Function that is called after a change of a scene."""
+
+    def __call__(self, *, in_hand: bool, fault: str) -> object:
+        """Show the scene.
+
+        Args:
+            in_hand: Whether the change goes on, as during a drag.
+            fault: Message of a refused change; otherwise empty.
+        """
+
+
+class SceneHistory:
+    """A scene that is edited.
+
+    Attribute `scene`: the present scene. Attribute `selected`: name of the part to which keys and buttons apply.
+
+    Args:
+        scene: The first scene.
+        on_change: Called after every change, and after a refused change.
+    """
+
+    def __init__(self, scene: EditedScene, on_change: SceneChanged) -> None:
+        self.scene, self.selected = scene, "start"
+        self._on_change = on_change
+        self._earlier: list[EditedScene] = []
+        self._later: list[EditedScene] = []
+
+    def edit(self, change: Callable[[EditedScene], EditedScene], *, in_hand: bool = False) -> None:
+        """Replace the scene by a changed one; it stays as it is if the change raises an error.
+
+        Args:
+            change: Function that returns the changed scene.
+            in_hand: Whether the change goes on; the scene before is remembered by `remember`.
+        """
+        try:
+            changed = change(self.scene)
+        except OptdockError as error:
+            self._on_change(in_hand=in_hand, fault=str(error))
+            return
+        if changed is self.scene:
+            return
+        if not in_hand:
+            self.remember(self.scene)
+        self.scene = changed
+        self.select(self.selected)
+        self._on_change(in_hand=in_hand, fault="")
+
+    def remember(self, scene: EditedScene) -> None:
+        """Add a scene to the earlier ones, unless it is the last of them."""
+        if not self._earlier or self._earlier[-1] is not scene:
+            self._earlier.append(scene)
+        del self._earlier[:-_MOST]
+        self._later.clear()
+
+    def settle(self) -> None:
+        """End a change that went on."""
+        self._on_change(in_hand=False, fault="")
+
+    def undo(self) -> None:
+        """Return to the scene before the last change."""
+        self._travel(self._earlier, self._later)
+
+    def redo(self) -> None:
+        """Repeat a change that was undone."""
+        self._travel(self._later, self._earlier)
+
+    def select(self, name: str) -> None:
+        """Select a part, or the start if the scene has no such part."""
+        self.selected = name if any(one.name == name for one in self.scene.handles()) else "start"
+
+    def nudge(self, dx: float, dy: float) -> None:
+        """Move the selected part [m]."""
+        self.edit(lambda scene: scene.nudged(scene.grip(self.selected), dx, dy))
+
+    def turn(self, angle: float) -> None:
+        """Turn the selected part [rad]."""
+        self.edit(lambda scene: scene.turned(scene.grip(self.selected), angle))
+
+    def remove(self) -> None:
+        """Remove the selected obstacle."""
+        self.edit(lambda scene: scene.removed(scene.grip(self.selected)))
+
+    def add(self, view: View, *, is_wall: bool) -> None:
+        """Add a box, or a wall of a quarter of the width of a view, in the middle of the view, and select it."""
+        x, y, half = 0.5 * (view.left + view.right), 0.5 * (view.bottom + view.top), 0.125 * (view.right - view.left)
+        self.selected = f"obstacles[{len(self.scene.polygons)}]"
+        self.edit(lambda scene: scene.added_wall(x - half, y, x + half, y) if is_wall else scene.added_box(x, y))
+
+    def press(self, key: str) -> None:
+        """Apply a key: arrows move the selected part, q and e turn it, Delete removes it, z undoes."""
+        if key in _MOVES:
+            self.nudge(*_MOVES[key])
+        elif key in _TURNS:
+            self.turn(_TURNS[key])
+        elif key == "Delete":
+            self.remove()
+        elif key == "z":
+            self.undo()
+
+    def _travel(self, source: list[EditedScene], target: list[EditedScene]) -> None:
+        if source:
+            target.append(self.scene)
+            self.scene = source.pop()
+            self.select(self.selected)
+            self._on_change(in_hand=False, fault="")

@@ -1,0 +1,90 @@
+"""The pointer on the figure: it grabs a part of the scene, drags it and releases it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from optdock.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bokeh.document import Document
+    from bokeh.events import Pan, PanEnd, PanStart, Tap
+
+    from optdock.ui.scene_edits import EditedScene
+    from optdock.ui.scene_grips import Grip
+    from optdock.ui.scene_history import SceneHistory
+    from optdock.ui.scene_view import SceneView
+
+__all__ = ["ScenePointer"]
+
+_REACH = 14.0  # [px]: tolerance of a pointer
+_DELAY = 8  # [ms] from an event to the change of the scene; later events replace earlier ones
+
+
+class ScenePointer:
+    """Drags of parts of a scene.
+
+    Args:
+        document: Document of the page.
+        view: Figure of the scene.
+        history: The scene.
+        on_select: Called after a part was selected.
+    """
+
+    def __init__(
+        self, document: Document, view: SceneView, history: SceneHistory, on_select: Callable[[], object]
+    ) -> None:
+        from bokeh import events
+
+        self._document, self._view, self._history, self._on_select = document, view, history, on_select
+        self._held: tuple[Grip, EditedScene] | None = None  # the grip, and the scene at the beginning of the drag
+        self._place: tuple[float, float] | None = None  # newest place of the pointer that has not been applied
+        for kind, call in (
+            (events.PanStart, self._grab), (events.Pan, self._drag), (events.PanEnd, self._release),
+            (events.Tap, self._tap),
+        ):  # fmt: skip
+            view.axes.on_event(kind, call)
+
+    @property
+    def is_dragging(self) -> bool:
+        """Whether a part is held."""
+        return self._held is not None
+
+    def _grab(self, event: PanStart) -> None:
+        grip = self._tap(event)
+        self._held = None if grip is None else (grip, self._history.scene)
+
+    def _drag(self, event: Pan) -> None:
+        is_first, self._place = self._place is None, (event.x, event.y)
+        if is_first:
+            self._document.add_timeout_callback(self._follow, _DELAY)
+
+    def _follow(self) -> None:
+        """Move the held part to the newest place of the pointer."""
+        place, self._place = self._place, None
+        if self._held is not None and place is not None:
+            grip, base = self._held
+            self._history.edit(lambda _: base.dragged(grip, place), in_hand=True)
+
+    def _release(self, event: PanEnd) -> None:
+        self._drag(event)
+        self._follow()
+        if self._held is None:
+            return
+        (_, base), self._held = self._held, None
+        if self._history.scene is not base:
+            self._history.remember(base)
+            self._history.settle()
+
+    def _tap(self, event: PanStart | Tap) -> Grip | None:
+        """Select and return the part at the pointer."""
+        try:
+            grip = self._history.scene.grip_at(event.x, event.y, self._view.metres(_REACH))
+        except (InvalidValue, TypeError):  # outside of the axes
+            return None
+        if grip is not None:
+            self._history.select(grip.name)
+            self._on_select()
+        return grip

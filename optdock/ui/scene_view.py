@@ -1,0 +1,232 @@
+"""Figure of the scene: obstacles, start and dock, which follow the hand, and the last answer to a request."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.plotting.scene import View, view_of
+from optdock.reports.html.figures import PALETTE, axes_of, draw_map
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from bokeh.models import ColumnDataSource, GlyphRenderer
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.ui.drawn_plan import DrawnPlan
+    from optdock.ui.driven_plan import DrivenPlan
+    from optdock.ui.scene_edits import EditedScene
+
+__all__ = ["GHOST", "SceneView", "margin_colours"]
+
+GHOST = "ghost"  # name of the robot that the player moves
+_WIDE = 0.3  # [m]: margins from here on have the colour of a free robot
+_SCALE = ("#C8102E", "#E8730C", "#E8C20C", "#56B45D", "#2F89BD")  # of margins from 0 to `_WIDE`
+_USUAL_WIDTH = 800  # [px]
+_FADED = 0.3  # factor of the opacity of an answer to another scene
+_GRIPS = {"start": "start", "dock": "goal", "obstacles": "muted"}
+
+
+def margin_colours(margins: FloatArray) -> list[str]:
+    """Return the colour of each margin [m], Shape (n,): from red at 0 to blue from 0.3 m on."""
+    share = np.clip(margins / _WIDE, 0.0, 1.0) * (len(_SCALE) - 1)
+    rgb = np.array([[int(colour[k : k + 2], 16) for k in (1, 3, 5)] for colour in _SCALE], dtype=float)
+    mixed = [np.interp(share, np.arange(len(_SCALE)), rgb[:, channel]).round().astype(int) for channel in range(3)]
+    return [f"#{r:02X}{g:02X}{b:02X}" for r, g, b in zip(*mixed, strict=True)]
+
+
+class SceneView:
+    """Figure in metres with equal scales.
+
+    Args:
+        scene: Scene whose map and surroundings are drawn.
+        variant: Variant of the colours of `PALETTE`: 0 for light, 1 for dark pages.
+    """
+
+    def __init__(self, scene: EditedScene, variant: int) -> None:
+        from bokeh.models import BoxAnnotation, BoxSelectTool
+
+        self._variant = variant
+        self.axes = axes_of(
+            "x [m]", "y [m]", sizing_mode="stretch_both", match_aspect=True, tools="wheel_zoom,pan,reset"
+        )
+        self.axes.toolbar.autohide = False
+        # An active tool for drags, so that a finger on the figure drags instead of scrolling the page.
+        tool = BoxSelectTool(description="grab", renderers=[], overlay=BoxAnnotation(visible=False))
+        self.axes.add_tools(tool)
+        self.axes.toolbar.active_drag = tool
+        self.view = view_of(scene.problem, [])
+        self._sources: dict[str, ColumnDataSource] = {}
+        self._answer: list[tuple[GlyphRenderer, float, float]] = []  # renderers with their opacities of fill and line
+        self._frame = self._add("frame", "Quad", ("left", "right", "bottom", "top"), fill_alpha=0.0, line_alpha=0.0)
+        for side in (self.axes.x_range, self.axes.y_range):
+            side.renderers = [self._frame]
+            side.range_padding = 0.0
+        if scene.problem.costmap is not None:
+            (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
+            draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
+        self._draw_all()
+        self.show(scene)
+        self.look_at(self.view)
+
+    def source(self, name: str) -> ColumnDataSource:
+        """Return the data of a layer."""
+        return self._sources[name]
+
+    def ink(self, name: str) -> str:
+        """Return a colour of the palette on this page."""
+        return PALETTE[name][self._variant]
+
+    def look_at(self, view: View, *, extends: bool = True) -> None:
+        """Show another rectangle; with `extends` also the one that is shown."""
+        old = self.view if extends else view
+        self.view = View(
+            min(old.left, view.left), max(old.right, view.right), min(old.bottom, view.bottom), max(old.top, view.top)
+        )
+        if self.view != old or not extends or not len(self._sources["frame"].data["left"]):
+            self._set("frame", {name: [value] for name, value in self.view._asdict().items()})
+
+    def metres(self, pixels: float) -> float:
+        """Return the length of a number of pixels [m]."""
+        from bokeh.core.property.descriptors import UnsetValueError
+
+        try:
+            pixels_across = self.axes.inner_width or _USUAL_WIDTH
+        except UnsetValueError:  # until the browser has drawn the figure
+            pixels_across = _USUAL_WIDTH
+        left, right = self.axes.x_range.start, self.axes.x_range.end
+        if not (isinstance(left, float) and isinstance(right, float) and math.isfinite(right - left)):
+            left, right = self.view.left, self.view.right
+        return pixels * abs(right - left) / float(pixels_across)
+
+    def show(self, scene: EditedScene, selected: str = "") -> None:
+        """Draw start, dock, obstacles and grips of a scene.
+
+        Args:
+            scene: The scene.
+            selected: Name of the part that is marked.
+        """
+        problem = scene.problem
+        outline = problem.robot.footprint.vertices
+        nose = np.array([[0.0, 0.0], [float(outline[:, 0].max()), 0.0]])
+        for name, pose in (("start", problem.start), ("dock", problem.goal)):
+            at = pose.as_array()[None]
+            self._set(f"{name} body", _shapes(transform_points(at, outline)))
+            self._set(f"{name} nose", _shapes(transform_points(at, nose)))
+        station = problem.dock.footprint
+        at = problem.goal.as_array()[None]
+        self._set("station", _shapes([] if station is None else transform_points(at, station.vertices)))
+        self._set("obstacles", _shapes(scene.polygons))
+        handles = [one for one in scene.handles() if one.name.endswith(("heading", "]")) or one.name == selected]
+        inks = [self.ink(_GRIPS[one.name.partition(".")[0].partition("[")[0]]) for one in handles]
+        self._set(
+            "grips",
+            {
+                "x": [one.x for one in handles],
+                "y": [one.y for one in handles],
+                "radius": [min(one.radius, 0.12) for one in handles],
+                "fill": inks,
+                "line": [
+                    self.ink("hot") if one.name == selected else ink for one, ink in zip(handles, inks, strict=True)
+                ],
+            },
+        )
+
+    def show_answer(self, drawn: DrawnPlan) -> None:
+        """Draw an answer of the planning process."""
+        self._set("raw", _line(drawn.raw))
+        forward, reverse = (_broken(drawn.path, drawn.gears == gear) for gear in (1, -1))
+        self._set("forward", _line(forward))
+        self._set("reverse", _line(reverse))
+        self._set("swept", {**_shapes(drawn.outlines), "fill": margin_colours(drawn.margins)})
+        self._set("cusps", _line(drawn.cusps))
+        self._set("region", _rings(drawn.region))
+        self._set("cones", _shapes(drawn.cones))
+        marked = [place.pose for place in drawn.places]
+        self._set("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
+        self._set("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
+        self._set("drive", _line(np.zeros((0, 2))))
+        self.fade(faded=False)
+
+    def show_drive(self, drive: DrivenPlan) -> None:
+        """Draw the way of a simulated drive."""
+        self._set("drive", _line(drive.poses))
+
+    def fade(self, *, faded: bool) -> None:
+        """Draw the answer faintly, because it belongs to another scene, or normally."""
+        factor = _FADED if faded else 1.0
+        for renderer, fill, line in self._answer:
+            if hasattr(renderer.glyph, "fill_alpha"):
+                renderer.glyph.fill_alpha = factor * fill
+            renderer.glyph.line_alpha = factor * line
+
+    def _draw_all(self) -> None:
+        """Add the layers from the lowest to the highest."""
+        area, line = ("xs", "ys"), ("x", "y")
+        ink = self.ink
+        faint = {"fill_color": "fill", "fill_alpha": 0.16, "line_color": "fill", "line_alpha": 0.35}
+        hot = {"line_color": ink("hot"), "line_width": 2.0}
+        self._add_answer("region", "MultiPolygons", area, fill_color=ink("impossible"), fill_alpha=0.45, line_alpha=0.0)
+        self._add_answer("cones", "Patches", area, fill_color=ink("raw"), fill_alpha=0.08, line_alpha=0.0)
+        self._add_answer("swept", "Patches", (*area, "fill"), **faint)
+        self._add("obstacles", "Patches", area, fill_color=ink("obstacle"), line_color=ink("ink"))
+        self._add("station", "Patches", area, fill_color=ink("dock"), line_color=ink("dock"))
+        self._add_answer("raw", "Line", line, line_color=ink("raw"), line_dash="dashed", line_width=1.5)
+        self._add_answer("forward", "Line", line, line_color=ink("path"), line_width=3.0)
+        self._add_answer("reverse", "Line", line, line_color=ink("reverse"), line_width=3.0)
+        self._add_answer("drive", "Line", line, line_color=ink("ink"), line_width=1.5)
+        cusp = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
+        self._add_answer("cusps", "Scatter", line, **cusp)
+        self._add_answer("places", "Patches", area, fill_alpha=0.0, line_dash="dashed", **hot)
+        self._add_answer("nearest", "MultiLine", area, **hot)
+        for name, colour in (("start", "start"), ("dock", "goal")):
+            edge = {"line_color": ink(colour), "line_width": 2.0}
+            self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
+            self._add(f"{name} nose", "MultiLine", area, **edge)
+        self._add(GHOST, "Patch", line, fill_color=ink("robot"), fill_alpha=0.6, line_color=ink("ink"))
+        disc = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
+        self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
+
+    def _add_answer(self, name: str, kind: str, columns: Sequence[str], **style: Any) -> None:  # noqa: ANN401 - of Bokeh
+        renderer = self._add(name, kind, columns, **style)
+        self._answer.append((renderer, style.get("fill_alpha", 1.0), style.get("line_alpha", 1.0)))
+
+    def _add(self, name: str, kind: str, columns: Sequence[str], **style: Any) -> GlyphRenderer:  # noqa: ANN401 - of Bokeh
+        from bokeh import models
+
+        source = self._sources[name] = models.ColumnDataSource({column: [] for column in columns}, name=f"{name} data")
+        glyph = getattr(models, kind)(
+            **{column: column for column in columns if column not in ("fill", "line")}, **style
+        )
+        renderer: GlyphRenderer = self.axes.add_glyph(source, glyph, name=name)
+        return renderer
+
+    def _set(self, name: str, columns: Mapping[str, Any]) -> None:
+        self._sources[name].data = dict(columns)
+
+
+def _shapes(polygons: Iterable[FloatArray]) -> dict[str, list[FloatArray]]:
+    shapes = [*polygons]
+    return {"xs": [shape[:, 0] for shape in shapes], "ys": [shape[:, 1] for shape in shapes]}
+
+
+def _rings(polygons: Sequence[Sequence[FloatArray]]) -> dict[str, list[list[list[list[float]]]]]:
+    """Return polygons with holes as one multi-polygon each."""
+    return {
+        name: [[[ring[:, axis].tolist() for ring in rings]] for rings in polygons]
+        for axis, name in enumerate(("xs", "ys"))
+    }
+
+
+def _line(points: FloatArray) -> dict[str, FloatArray]:
+    return {"x": points[:, 0], "y": points[:, 1]}
+
+
+def _broken(poses: FloatArray, shown: FloatArray) -> FloatArray:
+    """Return the points of a path, of which those that are not shown are nan. Shape (n, 2)."""
+    near = shown | np.append(shown[1:], [False] * bool(len(shown)))
+    return np.where(near[:, None], poses[:, :2], math.nan)

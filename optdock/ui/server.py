@@ -1,0 +1,74 @@
+"""The server of `optdock ui`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from optdock.errors import InvalidValue, MissingExtra
+from optdock.ui.page import make_page
+from optdock.ui.scene_files import open_scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bokeh.document import Document
+    from bokeh.server.server import Server
+
+__all__ = ["page_server"]
+
+_MOST_PAGES = 8  # open at the same time, each with a process of its own
+
+
+def page_server(source: Path | None, folder: Path, port: int = 0, address: str = "localhost") -> Server:
+    """Return a server of the page, which is listening but not running yet.
+
+    Args:
+        source: File that the page opens first, see `open_scene`; None: the built-in scenario.
+        folder: Folder in which the page may read and write files.
+        port: TCP port; 0: any free one.
+        address: Address to listen on. Other addresses than local ones make the page, and the files of the folder,
+            available to everyone who can reach this machine.
+
+    Raises:
+        InvalidFile: If the file cannot be read.
+        InvalidValue: If the port is in use, or the address does not exist.
+        MissingExtra: If Bokeh is not installed.
+    """
+    try:
+        from bokeh.application import Application
+        from bokeh.application.handlers.function import FunctionHandler
+        from bokeh.server.server import Server
+    except ImportError as error:
+        raise MissingExtra("the page needs Bokeh: pip install 'optdock[ui]'") from error
+    open_scene(source, folder)  # so that errors are reported here and not in the browser
+    pages: list[Document] = []
+
+    def opened(document: Document) -> None:
+        if len(pages) >= _MOST_PAGES:
+            _refuse(document)
+            return
+        pages.append(document)
+        document.on_session_destroyed(lambda _: pages.remove(document))
+        request = document.session_context.request if document.session_context is not None else None
+        make_page(document, source, folder, dict(request.arguments) if request is not None else {})
+
+    application = Application(FunctionHandler(opened))
+    try:
+        server = Server(
+            {"/": application},
+            port=port,
+            address=address,
+            # Only pages of this server may open a session; None allows localhost with the port that was chosen.
+            allow_websocket_origin=[f"{host}:{port}" for host in ("localhost", "127.0.0.1", address)] if port else None,
+            unused_session_lifetime_milliseconds=5_000,
+            check_unused_sessions_milliseconds=2_000,
+        )
+    except OSError as error:
+        raise InvalidValue(f"port: cannot listen on {address}:{port}: {error.strerror or error}") from None
+    return server
+
+
+def _refuse(document: Document) -> None:
+    from bokeh.models import Div
+
+    document.add_root(Div(text=f"{_MOST_PAGES} pages are open already; close one of them and reload this page."))
