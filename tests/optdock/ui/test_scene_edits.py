@@ -44,6 +44,7 @@ def shape_of(scene, name):
     return shapely.union_all(shapely.polygons(np.concatenate(placed)))
 
 
+@settings(max_examples=30)
 @given(st.sampled_from(PARTS), points)
 def test_a_drag_that_ends_where_it_began_changes_nothing(name, place):
     grip = Grip(name, *place)
@@ -51,6 +52,7 @@ def test_a_drag_that_ends_where_it_began_changes_nothing(name, place):
     assert MIXED.nudged(grip, 0.0, 0.0) is MIXED
 
 
+@settings(max_examples=40)
 @given(st.sampled_from(BODIES), points, points)
 def test_a_drag_there_and_back_restores_the_scene(name, begin, end):
     try:
@@ -79,7 +81,7 @@ def moved(name, begin, end):
     return x + end[0] - begin[0], y + end[1] - begin[1]
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(st.sampled_from(BODIES), points, st.lists(points, min_size=1, max_size=4))
 def test_dragging_by_steps_equals_one_drag(name, begin, way):
     if ".corners" in name:
@@ -147,7 +149,7 @@ def test_a_handle_is_grabbed_at_its_point_unless_a_smaller_part_covers_it(scene)
             assert order.index(grip.name) < order.index(handle.name)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(points, st.floats(0.0, 0.5))
 def test_what_is_grabbed_is_drawn_there(place, reach):
     grip = MIXED.grip_at(*place, reach)

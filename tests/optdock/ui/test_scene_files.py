@@ -36,6 +36,17 @@ def test_scenario_map_and_built_in_scene(folder):
     assert on_map.scenario.plan(5.0)
 
 
+def test_on_a_narrow_map_the_robot_is_smaller(folder):
+    (folder / "hall_map.yaml").write_text((DEMO / "hall_map.yaml").read_text().replace("0.05", "0.02"))
+    scene = open_scene("hall_map.yaml", folder)
+    check_ends(scene.problem)
+    assert scene.problem.robot.footprint.length < 0.9
+    assert (
+        scene.nudged(scene.grip("start"), 1.0, 0.0).nudged(scene.grip("start"), -1.0, 0.0).fingerprint
+        == scene.fingerprint
+    )
+
+
 def test_a_map_without_a_free_place_is_refused(folder):
     (folder / "hall_map.yaml").write_text((DEMO / "hall_map.yaml").read_text().replace("0.05", "0.002"))
     with pytest.raises(InvalidValue, match="no free place"):
