@@ -179,6 +179,13 @@ def test_a_message_names_field_value_and_rule(key, text, rule):
     assert rule in str(caught.value)
 
 
+def test_a_long_message_is_shortened():
+    with pytest.raises(InvalidValue) as caught:
+        with_field(with_field(BAY, "robot.footprint.front", "48"), "robot.footprint.rear", "-45.000000000")
+    assert len(str(caught.value)) == LONGEST_MESSAGE
+    assert str(caught.value).endswith("...")
+
+
 def test_a_limit_that_is_written_is_no_default():
     assert "max_lateral_jerk" in BAY.scenario.default_limits
     assert "max_lateral_jerk" not in with_field(BAY, "robot.limits.max_lateral_jerk", "2").scenario.default_limits

@@ -54,6 +54,14 @@ def test_a_polygon_that_is_not_convex_stays_whole():
     assert found.fingerprint == scene.fingerprint
 
 
+def test_a_slow_part_without_a_speed_is_kept():
+    text = TEXT.replace("  approach_speed: 0.1\n", "")
+    scene = from_link(packed(text))
+    assert math.isinf(scene.problem.dock.approach_speed)
+    assert scene.problem.dock.approach_distance == 0.3
+    assert from_link(to_link(scene)).fingerprint == scene.fingerprint
+
+
 def test_scenes_that_a_link_cannot_contain():
     with pytest.raises(InvalidValue, match="link: the scene has a map"):
         to_link(EditedScene(load_scenario(demo_scenario())))
