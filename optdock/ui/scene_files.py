@@ -62,8 +62,9 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
 
     Args:
         source: Scenario file; map (map_server YAML), on which the robot of the built-in scenario is placed, smaller
-            if it has no place there; plan file, whose scenario is the one in its folder for which its certificate
-            holds; None: the built-in scenario. A relative name is relative to the folder.
+            if it has no place there; plan file, whose scenario is the one in its folder for which its certificate or
+            proof holds, or the one of its name if it has neither; None: the built-in scenario. A relative name is
+            relative to the folder.
         folder: The folder; no file outside of it is read.
 
     Raises:
@@ -150,15 +151,17 @@ def _scene_of_scenario(file: Path, folder: str | Path) -> EditedScene:
 
 
 def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
-    """Return the scene of the scenario beside a plan file for which the certificate of the plan holds."""
-    certificate = load_plan(file).certificate
-    known = None if certificate is None else certificate.get("problem")
+    """Return the scene of the scenario beside a plan file for which its certificate or proof holds."""
+    plan = load_plan(file)
+    known = None if plan.certificate is None else plan.certificate.get("problem")
+    if plan.impossibility is not None:
+        known = plan.impossibility.problem._asdict()
     for scene in _scenes_beside(file, folder):
         same_name = scene.scenario.source.stem == file.stem
         if scene.problem.fingerprint._asdict() == known or (known is None and same_name):
             return scene
-    asked = "for which its certificate holds" if known is not None else f"{file.stem}.yaml, as it has no certificate"
-    raise InvalidValue(f"{file.name}: a plan file does not contain its scenario; in its folder is none {asked}")
+    asked = f"{file.stem}.yaml" if known is None else "a scenario for which its certificate or proof holds"
+    raise InvalidValue(f"{file.name}: a plan file does not contain its scenario; its folder does not contain {asked}")
 
 
 def _scenes_beside(file: Path, folder: Path) -> Iterator[EditedScene]:
