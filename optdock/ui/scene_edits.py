@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
 
-__all__ = ["BOX_SIDE", "WALL_THICKNESS", "EditedScene"]
+__all__ = ["BOX_SIDE", "WALL_THICKNESS", "EditedScene", "rounded_pose"]
 
 BOX_SIDE = 0.4  # [m] of a new box
 WALL_THICKNESS = 0.1  # [m] of a new wall
@@ -252,6 +252,16 @@ class EditedScene:
 def _rounded(places: FloatArray) -> FloatArray:
     # Python's `round` gives the float nearest to the decimal number, unlike NumPy's.
     return np.array([round(value, _PLACE_DIGITS) + 0.0 for value in places.ravel().tolist()]).reshape(places.shape)
+
+
+def rounded_pose(x: float, y: float, yaw: float) -> Pose2:
+    """Return the pose with coordinates [m] and heading [rad] rounded as by an edit.
+
+    Raises:
+        InvalidValue: If a number is not finite or out of range.
+    """
+    place = _rounded(np.array(checked_place((x, y)))).tolist()
+    return Pose2(place[0], place[1], _rounded_yaw(yaw))
 
 
 def _rounded_yaw(yaw: float) -> float:

@@ -19,6 +19,7 @@ import numpy as np
 
 from optdock.config import demo_scenario, load_scenario, save_scenario
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.guarded_file import is_regular
 from optdock.io.maps import load_map
@@ -30,7 +31,7 @@ from optdock.model.dock import DockDirection
 from optdock.planning.failures import check_ends
 from optdock.survey.dock_places import along_walls
 from optdock.survey.grid import Box
-from optdock.ui.scene_edits import EditedScene
+from optdock.ui.scene_edits import EditedScene, rounded_pose
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,8 +45,10 @@ __all__ = ["open_scene", "saved", "worked_scenes"]
 
 _NAME = re.compile(r"[^\W_][\w .+-]{0,99}", re.ASCII)
 _MOST_SCENARIOS = 200  # that are compared with a plan
+_SCALES = (1.0, 0.5, 0.25)  # of the built-in robot on a map
 _WALL_SPACING = 0.5  # [m] between proposed docks
 _WALL_REACH = 3.0  # [m] beyond the nearest wall, for proposed docks
+_LEAST_APART = 3.0  # circumscribed radii between a proposed dock and start, at least
 _START_DISTANCE = 4.0  # [m] from the dock to a proposed start, at most
 
 
@@ -58,9 +61,10 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
     """Return the scene of a file.
 
     Args:
-        source: Scenario file; map (map_server YAML), on which the robot of the built-in scenario is placed; plan file,
-            whose scenario is the one in its folder for which its certificate holds; None: the built-in scenario.
-            A relative name is relative to the folder.
+        source: Scenario file; map (map_server YAML), on which the robot of the built-in scenario is placed, smaller
+            if it has no place there; plan file, whose scenario is the one in its folder for which its certificate or
+            proof holds, or the one of its name if it has neither; None: the built-in scenario. A relative name is
+            relative to the folder.
         folder: The folder; no file outside of it is read.
 
     Raises:
@@ -147,15 +151,17 @@ def _scene_of_scenario(file: Path, folder: str | Path) -> EditedScene:
 
 
 def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
-    """Return the scene of the scenario beside a plan file for which the certificate of the plan holds."""
-    certificate = load_plan(file).certificate
-    known = None if certificate is None else certificate.get("problem")
+    """Return the scene of the scenario beside a plan file for which its certificate or proof holds."""
+    plan = load_plan(file)
+    known = None if plan.certificate is None else plan.certificate.get("problem")
+    if plan.impossibility is not None:
+        known = plan.impossibility.problem._asdict()
     for scene in _scenes_beside(file, folder):
         same_name = scene.scenario.source.stem == file.stem
         if scene.problem.fingerprint._asdict() == known or (known is None and same_name):
             return scene
-    asked = "for which its certificate holds" if known is not None else f"{file.stem}.yaml, as it has no certificate"
-    raise InvalidValue(f"{file.name}: a plan file does not contain its scenario; in its folder is none {asked}")
+    asked = f"{file.stem}.yaml" if known is None else "a scenario for which its certificate or proof holds"
+    raise InvalidValue(f"{file.name}: a plan file does not contain its scenario; its folder does not contain {asked}")
 
 
 def _scenes_beside(file: Path, folder: Path) -> Iterator[EditedScene]:
@@ -168,19 +174,45 @@ def _scenes_beside(file: Path, folder: Path) -> Iterator[EditedScene]:
 
 
 def _placed_on(source: Path) -> Scenario:
-    """Return the built-in scenario on a map, with dock and start in free places of the map."""
+    """Return the built-in scenario on a map, with dock and start in free places of the map.
+
+    If the map has none for the robot, robot and station are smaller.
+    """
     scenario = load_scenario(demo_scenario())
-    costmap = load_map(source).costmap.frozen()
-    problem = dataclasses.replace(scenario.problem, costmap=costmap)
-    is_reachable, room = _free_places(problem, costmap)
-    if is_reachable.any():
-        for dock in _dock_poses(problem, costmap, is_reachable, room):
-            placed = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=dock))
-            placed = placed.starting_at(_start_pose(dock, costmap, is_reachable, room))
-            with suppress(OptdockError):
-                check_ends(placed)
-                return dataclasses.replace(scenario, problem=placed, source=source)
-    raise InvalidValue(f"{source.name}: has no free place for a robot of {problem.robot.footprint.length:g} m")
+    problem = dataclasses.replace(scenario.problem, costmap=load_map(source).costmap.frozen())
+    for scale in _SCALES:
+        placed = _with_free_places(_scaled(problem, scale))
+        if placed is not None:
+            return dataclasses.replace(scenario, problem=placed, source=source)
+    least = min(_SCALES) * problem.robot.footprint.length
+    raise InvalidValue(f"{source.name}: has no free place for a robot of {least:.2g} m")
+
+
+def _scaled(problem: DockingProblem, scale: float) -> DockingProblem:
+    """Return the problem with the outlines of robot and station scaled."""
+    robot, dock = problem.robot, problem.dock
+    if dock.footprint is not None:
+        dock = dataclasses.replace(dock, footprint=Footprint((scale * dock.footprint.vertices).round(6)))
+    robot = dataclasses.replace(robot, footprint=Footprint((scale * robot.footprint.vertices).round(6)))
+    return dataclasses.replace(problem, robot=robot, dock=dock)
+
+
+def _with_free_places(problem: DockingProblem) -> DockingProblem | None:
+    """Return the problem with dock and start in free places of its map; None if there are none."""
+    if problem.costmap is None:
+        return None
+    is_reachable, room = _free_places(problem, problem.costmap)
+    if not is_reachable.any():
+        return None
+    for dock in _dock_poses(problem, problem.costmap, is_reachable, room):
+        start = _start_pose(dock, problem.costmap, is_reachable, room)
+        if start.distance_to(dock) < _LEAST_APART * problem.robot.footprint.circumscribed_radius:
+            continue
+        placed = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=dock), start=start)
+        with suppress(OptdockError):
+            check_ends(placed)
+            return placed
+    return None
 
 
 def _free_places(problem: DockingProblem, costmap: Costmap) -> tuple[BoolArray, FloatArray]:
@@ -211,8 +243,8 @@ def _dock_poses(
     for place in sorted(walls, key=lambda one: math.hypot(one.pose.x - x, one.pose.y - y)):
         cell = costmap.cell_of((place.pose @ Pose2(before, 0.0, 0.0)).as_array()[None, :2])
         if bool(costmap.has_cell(cell)[0]) and is_reachable[cell[0, 1], cell[0, 0]]:
-            yield place.pose
-    yield Pose2(x, y, 0.0)
+            yield rounded_pose(place.pose.x, place.pose.y, place.pose.yaw)
+    yield rounded_pose(x, y, 0.0)
 
 
 def _start_pose(dock: Pose2, costmap: Costmap, is_reachable: BoolArray, room: FloatArray) -> Pose2:
@@ -223,4 +255,4 @@ def _start_pose(dock: Pose2, costmap: Costmap, is_reachable: BoolArray, room: Fl
     far = min(_START_DISTANCE, float(distance.max()))
     best = np.argmax(np.where((distance <= far) & (distance >= 0.7 * far), room[rows, columns], 0.0))
     x, y = centres[best].tolist()
-    return Pose2(x, y, math.atan2(dock.y - y, dock.x - x))
+    return rounded_pose(x, y, math.atan2(dock.y - y, dock.x - x))

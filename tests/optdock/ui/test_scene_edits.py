@@ -13,6 +13,7 @@ from optdock.config import demo_scenario, load_scenario
 from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.limits import MotionLimits
 from optdock.ui.scene_edits import BOX_SIDE, WALL_THICKNESS, EditedScene
 from optdock.ui.scene_files import worked_scenes
 from optdock.ui.scene_grips import Grip, part_named
@@ -44,6 +45,7 @@ def shape_of(scene, name):
     return shapely.union_all(shapely.polygons(np.concatenate(placed)))
 
 
+@settings(max_examples=30)
 @given(st.sampled_from(PARTS), points)
 def test_a_drag_that_ends_where_it_began_changes_nothing(name, place):
     grip = Grip(name, *place)
@@ -51,6 +53,7 @@ def test_a_drag_that_ends_where_it_began_changes_nothing(name, place):
     assert MIXED.nudged(grip, 0.0, 0.0) is MIXED
 
 
+@settings(max_examples=40)
 @given(st.sampled_from(BODIES), points, points)
 def test_a_drag_there_and_back_restores_the_scene(name, begin, end):
     try:
@@ -79,7 +82,7 @@ def moved(name, begin, end):
     return x + end[0] - begin[0], y + end[1] - begin[1]
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(st.sampled_from(BODIES), points, st.lists(points, min_size=1, max_size=4))
 def test_dragging_by_steps_equals_one_drag(name, begin, way):
     if ".corners" in name:
@@ -147,7 +150,7 @@ def test_a_handle_is_grabbed_at_its_point_unless_a_smaller_part_covers_it(scene)
             assert order.index(grip.name) < order.index(handle.name)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(points, st.floats(0.0, 0.5))
 def test_what_is_grabbed_is_drawn_there(place, reach):
     grip = MIXED.grip_at(*place, reach)
@@ -238,7 +241,27 @@ def test_equal_scenes_have_equal_fingerprints():
     assert again is not BAY
     assert again.fingerprint == BAY.fingerprint
     # A limit that is given with its default value is the same scene.
-    explicit = dataclasses.replace(BAY.scenario, default_limits=frozenset())
+    assert BAY.problem.robot.limits.max_jerk == MotionLimits().max_jerk
+    explicit = dataclasses.replace(BAY.scenario, default_limits=BAY.scenario.default_limits | {"max_jerk"})
     assert EditedScene(explicit).fingerprint == BAY.fingerprint
     zero = [BAY.with_problem(BAY.problem.starting_at(Pose2(z, 1.0, 0.0))).fingerprint for z in (0.0, -0.0)]
     assert zero[0] == zero[1] != BAY.fingerprint
+
+
+def test_a_full_circle_restores_a_heading_that_is_not_rounded():
+    start = BAY.problem.start
+    scene = BAY.with_problem(BAY.problem.starting_at(Pose2(start.x, start.y, 0.123456789)))
+    assert scene.turned(scene.grip("start"), 2.0 * math.pi).fingerprint == scene.fingerprint
+    assert scene.turned(scene.grip("start"), 1e-3).turned(scene.grip("start"), -1e-3).fingerprint != scene.fingerprint
+
+
+def test_of_overlapping_obstacles_the_last_one_is_grabbed():
+    stacked = BAY.added_box(3.0, 1.0).added_box(3.1, 1.0)
+    assert [stacked.grip_at(x, 1.0, 0.0).name for x in (2.85, 3.05, 3.2)] == [f"obstacles[{i}]" for i in (4, 5, 5)]
+
+
+def test_the_reach_of_a_turning_handle_ends_outside_the_robot():
+    front = BAY.problem.start @ Pose2(0.44, 0.0, 0.0)
+    assert BAY.grip_at(front.x, front.y, 0.5).name == "start"
+    ahead = BAY.problem.start @ Pose2(0.6, 0.0, 0.0)
+    assert BAY.grip_at(ahead.x, ahead.y, 0.5).name == "start.heading"

@@ -7,7 +7,9 @@ import pytest
 
 from optdock.config import demo_scenario, load_scenario
 from optdock.errors import InvalidFile, InvalidValue, NoMotionExists
+from optdock.io.plan_file import save_plan
 from optdock.planning.failures import check_ends
+from optdock.reports.report import failed_plan_file
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, saved, worked_scenes
 
@@ -36,6 +38,17 @@ def test_scenario_map_and_built_in_scene(folder):
     assert on_map.scenario.plan(5.0)
 
 
+def test_on_a_narrow_map_the_robot_is_smaller(folder):
+    (folder / "hall_map.yaml").write_text((DEMO / "hall_map.yaml").read_text().replace("0.05", "0.02"))
+    scene = open_scene("hall_map.yaml", folder)
+    check_ends(scene.problem)
+    assert scene.problem.robot.footprint.length < 0.9
+    assert (
+        scene.nudged(scene.grip("start"), 1.0, 0.0).nudged(scene.grip("start"), -1.0, 0.0).fingerprint
+        == scene.fingerprint
+    )
+
+
 def test_a_map_without_a_free_place_is_refused(folder):
     (folder / "hall_map.yaml").write_text((DEMO / "hall_map.yaml").read_text().replace("0.05", "0.002"))
     with pytest.raises(InvalidValue, match="no free place"):
@@ -51,6 +64,26 @@ def test_the_scenario_of_a_plan_is_found_by_its_certificate(folder):
         open_scene("result.json", folder)
 
 
+@pytest.mark.parametrize("is_proven", [True, False])
+def test_the_scenario_of_a_refusal_is_found(folder, is_proven):
+    shutil.copy(NO_WAY, folder / ("other.yaml" if is_proven else "refused.yaml"))
+    with pytest.raises(NoMotionExists) as caught:
+        load_scenario(NO_WAY).plan(10.0)
+    found = failed_plan_file(caught.value, "map")
+    save_plan(folder / "refused.json", found if is_proven else dataclasses.replace(found, impossibility=None))
+    assert open_scene("refused.json", folder).fingerprint == EditedScene(load_scenario(NO_WAY)).fingerprint
+    (folder / "refused.yaml").unlink(missing_ok=True)
+    (folder / "other.yaml").unlink(missing_ok=True)
+    with pytest.raises(InvalidValue, match="does not contain its scenario"):
+        open_scene("refused.json", folder)
+
+
+def test_a_loop_of_links_ends_as_a_message(folder):
+    (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
+    with pytest.raises((InvalidValue, InvalidFile)):
+        open_scene("loop.yaml", folder)
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -61,7 +94,7 @@ def test_the_scenario_of_a_plan_is_found_by_its_certificate(folder):
         "link.yaml",
         "up/hall.yaml",
         "hall\x00.yaml",
-        "loop.yaml",
+        "\ud800.yaml",
         "../inside2.yaml",
         "~/x.yaml/../../../outside/hall.yaml",
     ],
@@ -71,7 +104,6 @@ def test_no_file_outside_the_folder_is_opened(folder, name):
     (folder / "sub").mkdir()
     (folder / "link.yaml").symlink_to(outside / "hall.yaml")
     (folder / "up").symlink_to(outside)
-    (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
     shutil.copy(BAY, folder.parent / "inside2.yaml")
     with pytest.raises(InvalidValue, match="is not in the folder"):
         open_scene(name.format(outside=outside), folder)
