@@ -340,4 +340,4 @@ def _draw_proof(axes: plotting.figure, plan: PlanFile, problem: DockingProblem) 
 
 def enclosed_area(proof: ImpossibilityProof) -> shapely.Geometry:
     """Return the positions that a proof encloses at some heading, as polygons with holes [m]."""
-    return shapely.union_all([shapely.Polygon(square) for square in proof.squares()])
+    return shapely.union_all(shapely.polygons(np.array(proof.squares())))
