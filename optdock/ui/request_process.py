@@ -360,6 +360,8 @@ def _work(line: Connection, alive: Connection, numbers: Array[c_int64]) -> None:
             answer = _computed(planning, request, call)
             interrupted = interrupted + 1 if call.is_superseded else 0
             line.send_bytes(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
+            # 1 ms; otherwise cycles with large arrays are kept for long, and the process grows to 500 MB.
+            gc.collect()
 
 
 def _grace(interrupted: int) -> float:
