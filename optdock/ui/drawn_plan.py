@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
@@ -176,7 +177,7 @@ def drawn_plan(
     places = tuple(_places(problem, result, file, (path, swept, margins)))
     guess = None if raw is None else raw.sample(_SPACING)
     shown = [each.poses for each in (samples, guess) if each is not None]
-    region = _region(file)
+    proof = file.impossibility if isinstance(file.impossibility, ImpossibilityProof) else None
     verdict = PlanFileVerdict(_VERDICTS.get(outcome, "refuted"), ())
     return DrawnPlan(
         *asked,
@@ -196,8 +197,8 @@ def drawn_plan(
         swept,
         margins,
         places,
-        region,
-        file.impossibility.end if isinstance(file.impossibility, ImpossibilityProof) else "",
+        () if proof is None else _region(proof),
+        "" if proof is None else proof.end,
         None if path is None else _few(shown_motion(file, path, problem)),
         tuple(_cones(problem, path, result, places)),
         view_of(problem, [*shown, *(place.pose[None] for place in places)]),
@@ -233,11 +234,9 @@ def _few(motion: ShownMotion) -> ShownMotion:
     return motion._replace(panels=panels, panels_at=motion.panels_at[rows])
 
 
-def _region(file: PlanFile) -> tuple[tuple[FloatArray, ...], ...]:
-    proof = file.impossibility
-    return (
-        tuple(tuple(part) for part in rings_of(enclosed_area(proof))) if isinstance(proof, ImpossibilityProof) else ()
-    )
+@functools.lru_cache(maxsize=1)  # the same proof holds for many scenes while the hand drags
+def _region(proof: ImpossibilityProof) -> tuple[tuple[FloatArray, ...], ...]:
+    return tuple(tuple(part) for part in rings_of(enclosed_area(proof)))
 
 
 # Places.

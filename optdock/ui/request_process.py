@@ -55,6 +55,7 @@ _POLLED = 0.2  # [s] between the checks of a process that computes
 _HANGS = 3.0  # [s] after a cancellation until a process that does not answer is replaced
 _LONGEST = 60.0  # [s] beyond its time budget until a call counts as lost
 _END_TIME = 2.0  # [s] for which the end of a process or thread is awaited
+_MOST_KEPT = 100  # answers that are not fetched
 _NEWEST, _CANCELLED = 0, 1  # places in the shared memory
 _ARGUMENTS = (
     "start", "dock", "robot", "obstacles", "clearance", "start_speed", "start_curvature", "costmap", "frame",
@@ -76,7 +77,7 @@ class RequestProcess:
         self._changed = threading.Condition()
         self._waiting: PlanRequest | None = None
         self._last, self._closed = 0, False
-        self._answers: deque[UiAnswer] = deque()
+        self._answers: deque[UiAnswer] = deque(maxlen=_MOST_KEPT)
         self._numbers = multiprocessing.get_context("spawn").RawArray("q", 2)
         self._is_warm = threading.Event()
         self._worker = _Worker.start(self._numbers)
@@ -138,7 +139,7 @@ class RequestProcess:
             self._numbers[_CANCELLED] = self._last
 
     def answers(self) -> list[UiAnswer]:
-        """Return the answers since the last call, oldest first; their numbers increase."""
+        """Return the answers since the last call, at most 100, oldest first; their numbers increase."""
         found = []
         with contextlib.suppress(IndexError):
             while True:
@@ -190,9 +191,8 @@ class RequestProcess:
             if not self._worker.process.is_alive():
                 self._replace()
             return self._worker.answer(request, self._is_given_up)
-        except (EOFError, OSError) as error:  # it has ended, or hangs
-            reason = f"the planning process {error if isinstance(error, TimeoutError) else 'has ended'}"
-            reason += f" ({self._worker.exit}) and was started again"
+        except Exception as error:  # it has ended or hangs, or the request cannot be pickled
+            reason = _reason(error, self._worker)
             if not self._closed:
                 logger.error("%s", reason)
             self._replace()
@@ -257,19 +257,22 @@ class _Worker(NamedTuple):
                 raise TimeoutError(f"did not answer within {time.monotonic() - began:.1f} s")
         return self.line.recv_bytes()
 
-    @property
-    def exit(self) -> str:
-        """The exit code in words."""
-        self.process.join(_POLLED)
-        code = self.process.exitcode
-        return "it still runs" if code is None else f"exit code {code}"
-
     def end(self) -> None:
         """End the process at once."""
         self.alive.close()
         self.process.kill()
         self.process.join(_END_TIME)
         self.line.close()
+
+
+def _reason(error: Exception, worker: _Worker) -> str:
+    """Return the reason why a process is replaced."""
+    if isinstance(error, TimeoutError):
+        return f"the planning process {error} and was started again"
+    if isinstance(error, EOFError | OSError):
+        worker.process.join(_POLLED)
+        return f"the planning process has ended (exit code {worker.process.exitcode}) and was started again"
+    return f"the request cannot be sent: {type(error).__name__}: {error}"
 
 
 def _lost(request: PlanRequest, reason: str) -> UiAnswer:
@@ -357,6 +360,8 @@ def _work(line: Connection, alive: Connection, numbers: Array[c_int64]) -> None:
             answer = _computed(planning, request, call)
             interrupted = interrupted + 1 if call.is_superseded else 0
             line.send_bytes(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
+            # 1 ms; otherwise cycles with large arrays are kept for long, and the process grows to 500 MB.
+            gc.collect()
 
 
 def _grace(interrupted: int) -> float:

@@ -1,12 +1,14 @@
 """The whole chain: path, smoothing, certificate, ruckig timing, controller, axis goal checker."""
 
 import dataclasses
+import inspect
 
 import numpy as np
 import pytest
 
 from checkers.axis import AxisGoalChecker
 from checkers.dock_goal import DockGoalChecker
+from optdock.cli.simulate import simulate
 from optdock.config import demo_scenario, load_scenario
 from optdock.config.simulated_drive import WorldDeviations, driven
 from optdock.controllers.tracking_controller import TrackingController
@@ -104,3 +106,8 @@ def test_default_goal_checker_gives_one_verdict(scenario):
 def test_two_goal_checkers_with_one_name_are_an_error(plan, scenario):
     with pytest.raises(InvalidValue, match="goal checkers must have different names, got DockGoalChecker"):
         drive(plan.trajectory, scenario.problem, DockGoalChecker(), beside=[DockGoalChecker()])
+
+
+def test_the_command_has_the_usual_disturbances_as_defaults():
+    usual = WorldDeviations()._asdict()
+    assert {name: inspect.signature(simulate).parameters[name].default for name in usual} == usual

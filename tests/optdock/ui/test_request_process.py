@@ -139,6 +139,14 @@ def test_cancel_ends_the_running_call_and_no_later_one(process, number, tmp_path
     assert answers_up_to(process, number + 1)[-1].outcome == "certified"
 
 
+def test_a_request_that_cannot_be_sent_is_answered_by_the_reason(process, number, monkeypatch):
+    monkeypatch.setattr(process, "_replace", lambda: None)  # nothing was sent
+    process.ask(scenario_at(smoother=PluginChoice("CasadiSmoother", {"spans": lambda: 1})), number, "wrong")
+    (drawn,) = answers_up_to(process, number)
+    assert (drawn.number, drawn.fingerprint, drawn.outcome) == (number, "wrong", "refused")
+    assert drawn.headline.startswith("the request cannot be sent: ")
+
+
 def test_a_process_that_dies_is_replaced_and_its_request_answered(process, number, tmp_path):
     before = process.pid
     process.ask(gated(tmp_path / "begun"), number, "killed")
