@@ -122,7 +122,7 @@ def draw_successes(axes: Axes, rows: list[dict[str, str]]) -> None:
     axes.set_xlim(-0.5, None)
     axes.set_xlabel("share of the reported successes [%], 95 % interval")
     axes.grid(axis="x", alpha=0.25)
-    axes.legend(fontsize=7.5, loc="lower center", frameon=False)
+    axes.legend(fontsize=7.5, loc="lower right", frameon=False)
 
 
 CHARTS = {
