@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from optdock import __version__
 from optdock.deadline import ClockName, budget_clock
 from optdock.errors import InvalidValue, MissingExtra
+from optdock.io.guarded_file import MostBytes, read_bytes
 from optdock.runner.cases import Outcome
 
 if TYPE_CHECKING:
@@ -251,7 +252,9 @@ def _restored(digest: str, shared: bytes | Path) -> tuple[Any, ...]:
     """
     if digest not in _RESTORED:
         _RESTORED.clear()
-        _RESTORED[digest] = pickle.loads(shared if isinstance(shared, bytes) else shared.read_bytes())
+        _RESTORED[digest] = pickle.loads(
+            shared if isinstance(shared, bytes) else read_bytes(shared, MostBytes.OUTCOMES)
+        )
     return _RESTORED[digest]
 
 
