@@ -10,13 +10,14 @@ import numpy as np
 from optdock.geometry.pose import transform_points
 from optdock.plotting.scene import View, view_of
 from optdock.reports.html.figures import PALETTE, axes_of, draw_map
+from optdock.ui.data_post import DataPost
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from bokeh.models import ColumnDataSource, GlyphRenderer
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.ui.drawn_plan import DrawnPlan
     from optdock.ui.driven_plan import DrivenPlan
     from optdock.ui.scene_edits import EditedScene
@@ -27,7 +28,7 @@ GHOST = "ghost"  # name of the robot that the player moves
 _WIDE = 0.3  # [m]: margins from here on have the colour of a free robot
 _SCALE = ("#C8102E", "#E8730C", "#E8C20C", "#56B45D", "#2F89BD")  # of margins from 0 to `_WIDE`
 _USUAL_WIDTH = 800  # [px]
-_FADED = 0.3  # factor of the opacity of an answer to another scene
+_VEIL = 0.65  # opacity of the veil over an answer to another scene
 _GRIPS = {"start": "start", "dock": "goal", "obstacles": "muted"}
 
 
@@ -61,7 +62,6 @@ class SceneView:
         self.axes.toolbar.active_drag = tool
         self.view = view_of(scene.problem, [])
         self._sources: dict[str, ColumnDataSource] = {}
-        self._answer: list[tuple[GlyphRenderer, float, float]] = []  # renderers with their opacities of fill and line
         self._frame = self._add("frame", "Quad", ("left", "right", "bottom", "top"), fill_alpha=0.0, line_alpha=0.0)
         for side in (self.axes.x_range, self.axes.y_range):
             side.renderers = [self._frame]
@@ -70,6 +70,7 @@ class SceneView:
             (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
             draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
         self._draw_all()
+        self.data = DataPost(self._sources)
         self.show(scene)
         self.look_at(self.view)
 
@@ -87,8 +88,9 @@ class SceneView:
         self.view = View(
             min(old.left, view.left), max(old.right, view.right), min(old.bottom, view.bottom), max(old.top, view.top)
         )
-        if self.view != old or not extends or not len(self._sources["frame"].data["left"]):
-            self._set("frame", {name: [value] for name, value in self.view._asdict().items()})
+        if self.view != old or not extends or not self.data.columns["frame"]:
+            self.data.put("frame", {name: [value] for name, value in self.view._asdict().items()})
+            self.data.send()
 
     def metres(self, pixels: float) -> float:
         """Return the length of a number of pixels [m]."""
@@ -115,15 +117,15 @@ class SceneView:
         nose = np.array([[0.0, 0.0], [float(outline[:, 0].max()), 0.0]])
         for name, pose in (("start", problem.start), ("dock", problem.goal)):
             at = pose.as_array()[None]
-            self._set(f"{name} body", _shapes(transform_points(at, outline)))
-            self._set(f"{name} nose", _shapes(transform_points(at, nose)))
+            self.data.put(f"{name} body", _shapes(transform_points(at, outline)))
+            self.data.put(f"{name} nose", _shapes(transform_points(at, nose)))
         station = problem.dock.footprint
         at = problem.goal.as_array()[None]
-        self._set("station", _shapes([] if station is None else transform_points(at, station.vertices)))
-        self._set("obstacles", _shapes(scene.polygons))
+        self.data.put("station", _shapes([] if station is None else transform_points(at, station.vertices)))
+        self.data.put("obstacles", _shapes(scene.polygons))
         handles = [one for one in scene.handles() if one.name.endswith(("heading", "]")) or one.name == selected]
         inks = [self.ink(_GRIPS[one.name.partition(".")[0].partition("[")[0]]) for one in handles]
-        self._set(
+        self.data.put(
             "grips",
             {
                 "x": [one.x for one in handles],
@@ -138,51 +140,54 @@ class SceneView:
 
     def show_answer(self, drawn: DrawnPlan) -> None:
         """Draw an answer of the planning process."""
-        self._set("raw", _line(drawn.raw))
+        self.data.put("raw", _line(drawn.raw))
         forward, reverse = (_broken(drawn.path, drawn.gears == gear) for gear in (1, -1))
-        self._set("forward", _line(forward))
-        self._set("reverse", _line(reverse))
-        self._set("swept", {**_shapes(drawn.outlines), "fill": margin_colours(drawn.margins)})
-        self._set("cusps", _line(drawn.cusps))
-        self._set("region", _rings(drawn.region))
-        self._set("cones", _shapes(drawn.cones))
+        self.data.put("forward", _line(forward))
+        self.data.put("reverse", _line(reverse))
+        self.data.put("swept", {**_shapes(drawn.outlines), "fill": margin_colours(drawn.margins)})
+        self.data.put("cusps", _line(drawn.cusps))
+        self.data.put("region", _rings(drawn.region))
+        self.data.put("cones", _shapes(drawn.cones))
         marked = [place.pose for place in drawn.places]
-        self._set("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
-        self._set("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
-        self._set("drive", _line(np.zeros((0, 2))))
+        self.data.put("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
+        self.data.put("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
+        self.data.put("drive", _line(np.zeros((0, 2))))
+        self.data.send()
         self.fade(faded=False)
 
     def show_drive(self, drive: DrivenPlan) -> None:
         """Draw the way of a simulated drive."""
-        self._set("drive", _line(drive.poses))
+        self.data.put("drive", _line(drive.poses))
+        self.data.send()
 
     def fade(self, *, faded: bool) -> None:
         """Draw the answer faintly, because it belongs to another scene, or normally."""
-        factor = _FADED if faded else 1.0
-        for renderer, fill, line in self._answer:
-            if hasattr(renderer.glyph, "fill_alpha"):
-                renderer.glyph.fill_alpha = factor * fill
-            renderer.glyph.line_alpha = factor * line
+        self._veil.visible = faded
 
     def _draw_all(self) -> None:
-        """Add the layers from the lowest to the highest."""
+        """Add the layers from the lowest to the highest; the veil lies between the answer and the scene in the hand."""
+        from bokeh.models import BoxAnnotation
+
         area, line = ("xs", "ys"), ("x", "y")
         ink = self.ink
         faint = {"fill_color": "fill", "fill_alpha": 0.16, "line_color": "fill", "line_alpha": 0.35}
         hot = {"line_color": ink("hot"), "line_width": 2.0}
-        self._add_answer("region", "MultiPolygons", area, fill_color=ink("impossible"), fill_alpha=0.45, line_alpha=0.0)
-        self._add_answer("cones", "Patches", area, fill_color=ink("raw"), fill_alpha=0.08, line_alpha=0.0)
-        self._add_answer("swept", "Patches", (*area, "fill"), **faint)
-        self._add("obstacles", "Patches", area, fill_color=ink("obstacle"), line_color=ink("ink"))
-        self._add("station", "Patches", area, fill_color=ink("dock"), line_color=ink("dock"))
-        self._add_answer("raw", "Line", line, line_color=ink("raw"), line_dash="dashed", line_width=1.5)
-        self._add_answer("forward", "Line", line, line_color=ink("path"), line_width=3.0)
-        self._add_answer("reverse", "Line", line, line_color=ink("reverse"), line_width=3.0)
-        self._add_answer("drive", "Line", line, line_color=ink("ink"), line_width=1.5)
+        self._add("obstacles", "Patches", area, "image", fill_color=ink("obstacle"), line_color=ink("ink"))
+        self._add("station", "Patches", area, "image", fill_color=ink("dock"), line_color=ink("dock"))
+        closed = {"fill_color": ink("impossible"), "fill_alpha": 0.45, "line_alpha": 0.0}
+        self._add("region", "MultiPolygons", area, "underlay", **closed)
+        self._add("cones", "Patches", area, "underlay", fill_color=ink("raw"), fill_alpha=0.08, line_alpha=0.0)
+        self._add("swept", "Patches", (*area, "fill"), "underlay", **faint)
+        self._add("raw", "Line", line, "underlay", line_color=ink("raw"), line_dash="dashed", line_width=1.5)
+        self._add("forward", "Line", line, "underlay", line_color=ink("path"), line_width=3.0)
+        self._add("reverse", "Line", line, "underlay", line_color=ink("reverse"), line_width=3.0)
+        self._add("drive", "Line", line, "underlay", line_color=ink("ink"), line_width=1.5)
         cusp = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
-        self._add_answer("cusps", "Scatter", line, **cusp)
-        self._add_answer("places", "Patches", area, fill_alpha=0.0, line_dash="dashed", **hot)
-        self._add_answer("nearest", "MultiLine", area, **hot)
+        self._add("cusps", "Scatter", line, "underlay", **cusp)
+        self._add("places", "Patches", area, "underlay", fill_alpha=0.0, line_dash="dashed", **hot)
+        self._add("nearest", "MultiLine", area, "underlay", **hot)
+        self._veil = BoxAnnotation(fill_color=ink("paper"), fill_alpha=_VEIL, level="underlay", visible=False)
+        self.axes.add_layout(self._veil)
         for name, colour in (("start", "start"), ("dock", "goal")):
             edge = {"line_color": ink(colour), "line_width": 2.0}
             self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
@@ -191,22 +196,21 @@ class SceneView:
         disc = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
 
-    def _add_answer(self, name: str, kind: str, columns: Sequence[str], **style: Any) -> None:  # noqa: ANN401 - of Bokeh
-        renderer = self._add(name, kind, columns, **style)
-        self._answer.append((renderer, style.get("fill_alpha", 1.0), style.get("line_alpha", 1.0)))
-
-    def _add(self, name: str, kind: str, columns: Sequence[str], **style: Any) -> GlyphRenderer:  # noqa: ANN401 - of Bokeh
+    def _add(
+        self,
+        name: str,
+        kind: str,
+        columns: Sequence[str],
+        level: str = "glyph",
+        **style: Any,  # noqa: ANN401 - properties of Bokeh
+    ) -> GlyphRenderer:
         from bokeh import models
 
         source = self._sources[name] = models.ColumnDataSource({column: [] for column in columns}, name=f"{name} data")
-        glyph = getattr(models, kind)(
-            **{column: column for column in columns if column not in ("fill", "line")}, **style
-        )
-        renderer: GlyphRenderer = self.axes.add_glyph(source, glyph, name=name)
+        places = {column: column for column in columns if column not in ("fill", "line")}
+        glyph = getattr(models, kind)(**places, **style)
+        renderer: GlyphRenderer = self.axes.add_glyph(source, glyph, name=name, level=level)
         return renderer
-
-    def _set(self, name: str, columns: Mapping[str, Any]) -> None:
-        self._sources[name].data = dict(columns)
 
 
 def _shapes(polygons: Iterable[FloatArray]) -> dict[str, list[FloatArray]]:
@@ -226,7 +230,8 @@ def _line(points: FloatArray) -> dict[str, FloatArray]:
     return {"x": points[:, 0], "y": points[:, 1]}
 
 
-def _broken(poses: FloatArray, shown: FloatArray) -> FloatArray:
+def _broken(poses: FloatArray, shown: BoolArray) -> FloatArray:
     """Return the points of a path, of which those that are not shown are nan. Shape (n, 2)."""
-    near = shown | np.append(shown[1:], [False] * bool(len(shown)))
+    near = shown.copy()
+    near[:-1] |= shown[1:]
     return np.where(near[:, None], poses[:, :2], math.nan)

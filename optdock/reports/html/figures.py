@@ -377,7 +377,7 @@ def draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> list[Legend
     place = {"x": [x0 + side * int(first[1])], "y": [y0 + side * int(first[0])]}
     size = {"dw": [side * block * columns], "dh": [side * block * rows]}
     mapper = LinearColorMapper(palette=palette, low=-0.5, high=2.5)
-    _draw(axes, "Image", {"image": [cells], **place, **size}, color_mapper=mapper).level = "underlay"
+    _draw(axes, "Image", {"image": [cells], **place, **size}, color_mapper=mapper).level = "image"
     shown = [name for grade_of, name in ((2, "occupied"), (1, "unknown")) if np.any(cells == grade_of)]
     return [LegendEntry(f"map, {name}", name, "area") for name in shown]
 

@@ -1,0 +1,80 @@
+"""Columns of several Bokeh data sources as one message to the browser.
+
+Bokeh sends every changed property, and every array in it, as messages of their own; a picture of 20 layers with 100
+outlines would be several hundred. Here all columns are plain lists in one property, which a callback in the browser
+distributes, so that a picture is never shown in part.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bokeh.document import Document
+    from bokeh.models import ColumnDataSource
+
+__all__ = ["DataPost"]
+
+_DIGITS = 5  # of columns: 0.01 mm
+_DISTRIBUTE = """
+for (const [name, [columns]] of Object.entries(post.data)) sources[name].data = Object.fromEntries(columns);
+"""
+
+
+class DataPost:
+    """Data sources that are changed together.
+
+    Attribute `columns`: the columns of every source.
+
+    Args:
+        sources: The sources by their names.
+    """
+
+    def __init__(self, sources: Mapping[str, ColumnDataSource]) -> None:
+        from bokeh.models import ColumnDataSource, CustomJS
+
+        self._sources, self._is_ready = dict(sources), False
+        self.columns: dict[str, dict[str, Any]] = {name: {} for name in sources}
+        self._waiting: dict[str, list[Any]] = {}
+        for source in sources.values():
+            source.syncable = False  # changes in the browser are not sent back
+        self.post = ColumnDataSource()
+        self.post.js_on_change("data", CustomJS(args={"post": self.post, "sources": self._sources}, code=_DISTRIBUTE))
+
+    def attach(self, document: Document) -> None:
+        """Add the data to a document; until its page is ready, sources are changed one by one."""
+        from bokeh.events import DocumentReady
+
+        document.on_event(DocumentReady, lambda _: self._opened())
+
+    def put(self, name: str, columns: Mapping[str, Any]) -> None:
+        """Change the columns of a source, arrays or nested lists of arrays, with the next `send`."""
+        plain = {key: _plain(column) for key, column in columns.items()}
+        if plain == self.columns[name]:
+            return
+        self.columns[name] = plain
+        if self._is_ready:
+            self._waiting[name] = [[*map(list, plain.items())]]
+        else:
+            self._sources[name].data = plain
+
+    def send(self) -> None:
+        """Send all changes as one message."""
+        if self._waiting:
+            self.post.data, self._waiting = self._waiting, {}
+
+    def _opened(self) -> None:
+        """Send everything, because changes after the page was made may be lost before it is ready."""
+        self._is_ready = True
+        self._waiting = {name: [[*map(list, columns.items())]] for name, columns in self.columns.items() if columns}
+        self.send()
+
+
+def _plain(column: Any) -> Any:  # noqa: ANN401 - nested lists
+    if isinstance(column, np.ndarray):
+        return np.round(column, _DIGITS).tolist() if column.dtype.kind == "f" else column.tolist()
+    return [_plain(one) for one in column] if isinstance(column, list | tuple) else column
