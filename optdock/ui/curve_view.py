@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optdock.reports.html.figures import PALETTE, axes_of
+from optdock.ui.data_post import DataPost
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bokeh import plotting
     from bokeh.models import ColumnDataSource, Span
 
@@ -58,11 +61,13 @@ class CurveView:
 
     def __init__(self, ghost: ColumnDataSource, variant: int) -> None:
         from bokeh.layouts import column
-        from bokeh.models import ColumnDataSource, CustomJS, Slider, Toggle
+        from bokeh.models import ColumnDataSource, CustomJS, Div, Slider, Toggle
 
         self._variant = variant
         self._labels: tuple[str, ...] = ()
-        self._axes: list[tuple[plotting.figure, ColumnDataSource, Span]] = []
+        self._axes: list[plotting.figure] = []
+        self.data = DataPost({})
+        self.holder = Div(visible=False, tags=[self.data.post])  # data without a figure are in no document otherwise
         self.charts = column([], sizing_mode="stretch_width")
         self.slider = Slider(start=0, end=1, value=0, step=1, title="time", sizing_mode="stretch_width", name="player")
         self.play = Toggle(label="Play", width=80, name="play")
@@ -77,15 +82,15 @@ class CurveView:
     def show(self, motion: ShownMotion | None, outline: FloatArray) -> None:
         """Show the curves of a motion, and put the player at its beginning."""
         panels = () if motion is None else tuple(motion.panels)
-        labels = tuple(panel.label for panel in panels)
-        if labels != self._labels:
-            self._labels = labels
-            self._axes = [self._figure(panel) for panel in panels]
-            self._move.args = {**self._move.args, "cursors": [cursor for _, _, cursor in self._axes]}
-            self.charts.children = [axes for axes, _, _ in self._axes]
+        if tuple(panel.label for panel in panels) != self._labels:
+            self._make_figures(panels)
         if motion is not None:
-            for panel, (axes, source, _) in zip(panels, self._axes, strict=True):
-                self._show_panel(motion, panel, axes, source)
+            for row, panel in enumerate(panels):
+                self._show_panel(motion, panel, row)
+            self.data.send()
+        if [*self.charts.children] != self._axes:
+            self.charts.children = [*self._axes]
+            self.holder.tags = [self.data.post]
         self.show_player(*((np.zeros(0), np.zeros((0, 3))) if motion is None else (motion.at, motion.poses)), outline)
 
     def show_player(self, at: FloatArray, poses: FloatArray, outline: FloatArray) -> None:
@@ -95,29 +100,35 @@ class CurveView:
         self.slider.update(end=max(1, len(at) - 1), value=0, disabled=len(at) < 2)
         self._motion.data = {"at": at, "x": poses[:, 0], "y": poses[:, 1], "yaw": poses[:, 2]}
 
-    def _figure(self, panel: MotionPanel) -> tuple[plotting.figure, ColumnDataSource, Span]:
-        from bokeh.models import ColumnDataSource, Line, Span
+    def _make_figures(self, panels: Sequence[MotionPanel]) -> None:
+        from bokeh.models import ColumnDataSource
 
-        paper = PALETTE["ink"][self._variant]
+        self._labels = tuple(panel.label for panel in panels)
+        sources = [ColumnDataSource({name: [] for name in ("at", "value", "upper", "lower")}) for _ in panels]
+        made = [self._figure(panel, source) for panel, source in zip(panels, sources, strict=True)]
+        self._axes = [axes for axes, _ in made]
+        self._move.args = {**self._move.args, "cursors": [cursor for _, cursor in made]}
+        self.data = DataPost({str(row): source for row, source in enumerate(sources)})
+
+    def _figure(self, panel: MotionPanel, source: ColumnDataSource) -> tuple[plotting.figure, Span]:
+        from bokeh.models import Line, Span
+
         axes = axes_of("time [s]", panel.label, height=150, x_range=(0.0, 1.0), y_range=panel.axis_range, tools="")
         axes.toolbar_location = None
-        source = ColumnDataSource({name: [] for name in ("at", "value", "upper", "lower")})
         limit = {"line_color": PALETTE["limit"][self._variant], "line_dash": "dashed", "line_width": 1.5}
         for name in ("upper", "lower"):
             axes.add_glyph(source, Line(x="at", y=name, **limit))
         axes.add_glyph(source, Line(x="at", y="value", line_color=PALETTE["path"][self._variant], line_width=2.0))
-        cursor = Span(location=0.0, dimension="height", line_color=paper, line_width=1.0)
+        ink = PALETTE["ink"][self._variant]
+        cursor = Span(location=0.0, dimension="height", line_color=ink, line_width=1.0)
         axes.add_layout(cursor)
-        return axes, source, cursor
+        return axes, cursor
 
-    def _show_panel(
-        self, motion: ShownMotion, panel: MotionPanel, axes: plotting.figure, source: ColumnDataSource
-    ) -> None:
+    def _show_panel(self, motion: ShownMotion, panel: MotionPanel, row: int) -> None:
+        axes = self._axes[row]
         axes.xaxis.axis_label = motion.label
         axes.x_range.update(start=float(motion.panels_at[0]), end=float(motion.panels_at[-1]))
         axes.y_range.update(**dict(zip(("start", "end"), map(float, panel.axis_range), strict=True)))
-        bounds = {
-            name: np.where(np.isfinite(bound), bound, np.nan)
-            for name, bound in (("upper", panel.upper), ("lower", panel.lower))
-        }
-        source.data = {"at": motion.panels_at, "value": panel.values, **bounds}
+        upper, lower = (np.where(np.isfinite(bound), bound, np.nan) for bound in (panel.upper, panel.lower))
+        columns = {"at": motion.panels_at, "value": panel.values, "upper": upper, "lower": lower}
+        self.data.put(str(row), columns)

@@ -14,7 +14,6 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bokeh.document import Document
     from bokeh.models import ColumnDataSource
 
 __all__ = ["DataPost"]
@@ -45,11 +44,11 @@ class DataPost:
         self.post = ColumnDataSource()
         self.post.js_on_change("data", CustomJS(args={"post": self.post, "sources": self._sources}, code=_DISTRIBUTE))
 
-    def attach(self, document: Document) -> None:
-        """Add the data to a document; until its page is ready, sources are changed one by one."""
-        from bokeh.events import DocumentReady
-
-        document.on_event(DocumentReady, lambda _: self._opened())
+    def open(self) -> None:
+        """Send changes as messages from now on, and everything at once, as changes before may not have arrived."""
+        self._is_ready = True
+        self._waiting = {name: [[*map(list, columns.items())]] for name, columns in self.columns.items() if columns}
+        self.send()
 
     def put(self, name: str, columns: Mapping[str, Any]) -> None:
         """Change the columns of a source, arrays or nested lists of arrays, with the next `send`."""
@@ -66,12 +65,6 @@ class DataPost:
         """Send all changes as one message."""
         if self._waiting:
             self.post.data, self._waiting = self._waiting, {}
-
-    def _opened(self) -> None:
-        """Send everything, because changes after the page was made may be lost before it is ready."""
-        self._is_ready = True
-        self._waiting = {name: [[*map(list, columns.items())]] for name, columns in self.columns.items() if columns}
-        self.send()
 
 
 def _plain(column: Any) -> Any:  # noqa: ANN401 - nested lists

@@ -55,6 +55,7 @@ class PageSession:
     """
 
     def __init__(self, document: Document, scene: EditedScene, folder: Path, variant: int = 0) -> None:
+        from bokeh.events import DocumentReady
         from bokeh.models import Div
 
         self.document, self.folder = document, folder
@@ -66,9 +67,9 @@ class PageSession:
         self.fields = FieldView(self._set_field)
         self.toolbar = PageToolbar(self)
         self.pointer = ScenePointer(document, self.view, self.history, self.show_scene)
-        self.status, self.message, self.words = (
-            Div(text="", sizing_mode="stretch_width", name=name) for name in ("status", "message", "words")
-        )
+        self.message, self.words = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
+        self.data = Div(visible=False, tags=[self.view.data.post])
+        document.on_event(DocumentReady, lambda _: self.view.data.open())
         self._compose(variant)
         self.process = RequestProcess(self._answered)
         document.on_session_destroyed(lambda _: self.process.close())
@@ -95,6 +96,7 @@ class PageSession:
         scene = self.history.scene
         self.process.ask_drive(scene.scenario, self._number, scene.fingerprint)
         self._show_status("driving")
+        self.view.data.send()
 
     def show_scene(self) -> None:
         """Draw the scene and the selected part."""
@@ -111,12 +113,12 @@ class PageSession:
         """Show the scene after a change, and request a plan."""
         with self._one_message():
             self.say(fault, is_bad=True)
+            if not fault:
+                self._ask(in_hand=in_hand)
             self.show_scene()
             if not in_hand:
                 self.fields.show(self.history.scene)
                 self.toolbar.link.text = _link_to(self.history.scene)
-            if not fault:
-                self._ask(in_hand=in_hand)
 
     def _ask(self, *, in_hand: bool) -> None:
         scene = self.history.scene
@@ -155,15 +157,16 @@ class PageSession:
         if drawn.outcome == "cancelled" and drawn.number < self._number:
             return  # a newer request replaced it
         self.shown = drawn
+        self._show_status("planning" if drawn.number < self._number else "")
         self.view.show_answer(drawn)
         if not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
             self.curves.show(drawn.motion, drawn.outline)
             self.words.text = answer_html(drawn)
-        self._show_status("planning" if drawn.number < self._number else "")
 
     def _show_drive(self, drive: DrivenPlan) -> None:
         self._show_status("")
+        self.view.data.send()
         if drive.fingerprint != self.history.scene.fingerprint:
             return
         self.view.show_drive(drive)
@@ -172,7 +175,7 @@ class PageSession:
         self.say(drive_text(drive), is_bad=drive.outcome != "docked")
 
     def _show_status(self, doing: str) -> None:
-        self.status.text = status_html(self.history.scene.fingerprint, self.shown, doing)
+        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, doing))
 
     def _fade(self, number: int) -> None:
         """Fade the answer if it still belongs to another scene than that of a request."""
@@ -183,10 +186,11 @@ class PageSession:
         """Add the roots of the document to its template."""
         from jinja2 import Environment, PackageLoader
 
+        curves, groups = self.curves, self.fields.groups
         roots: dict[str, Any] = {
-            "scene": self.view.axes, "curves": self.curves.charts, "player": self.curves.slider,
-            "play": self.curves.play, "status": self.status, "message": self.message, "words": self.words,
-            **self.toolbar.roots, **{f"fields_{name}": group for name, group in self.fields.groups.items()},
+            "scene": self.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
+            "data": self.data, "curve_data": curves.holder, "message": self.message,
+            "words": self.words, **self.toolbar.roots, **{f"fields_{name}": group for name, group in groups.items()},
         }  # fmt: skip
         for name, root in roots.items():
             root.name = name

@@ -54,7 +54,7 @@ class SceneHistory:
 
         Args:
             change: Function that returns the changed scene.
-            in_hand: Whether the change goes on; the scene before is remembered by `remember`.
+            in_hand: Whether the change goes on until `drop`.
         """
         try:
             changed = change(self.scene)
@@ -64,21 +64,28 @@ class SceneHistory:
         if changed is self.scene:
             return
         if not in_hand:
-            self.remember(self.scene)
+            self._remember(self.scene)
         self.scene = changed
         self.select(self.selected)
         self._on_change(in_hand=in_hand, fault="")
 
-    def remember(self, scene: EditedScene) -> None:
-        """Add a scene to the earlier ones, unless it is the last of them."""
-        if not self._earlier or self._earlier[-1] is not scene:
-            self._earlier.append(scene)
-        del self._earlier[:-_MOST]
-        self._later.clear()
+    def drop(self, base: EditedScene, change: Callable[[EditedScene], EditedScene]) -> None:
+        """End a change that went on.
 
-    def settle(self) -> None:
-        """End a change that went on."""
+        Args:
+            base: The scene at its beginning, which `undo` restores.
+            change: Function that returns the changed scene; after an error, the last valid scene of the change stays.
+        """
+        fault = ""
+        try:
+            self.scene = change(self.scene)
+        except OptdockError as error:
+            fault = str(error)
+        if self.scene is not base:
+            self._remember(base)
         self._on_change(in_hand=False, fault="")
+        if fault:
+            self._on_change(in_hand=False, fault=fault)
 
     def undo(self) -> None:
         """Return to the scene before the last change."""
@@ -120,6 +127,11 @@ class SceneHistory:
             self.remove()
         elif key == "z":
             self.undo()
+
+    def _remember(self, scene: EditedScene) -> None:
+        self._earlier.append(scene)
+        del self._earlier[:-_MOST]
+        self._later.clear()
 
     def _travel(self, source: list[EditedScene], target: list[EditedScene]) -> None:
         if source:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["ScenePointer"]
 
 _REACH = 14.0  # [px]: tolerance of a pointer
-_DELAY = 8  # [ms] from an event to the change of the scene; later events replace earlier ones
+_DELAY = 1  # [ms] from an event to the change of the scene; later events replace earlier ones
 
 
 class ScenePointer:
@@ -69,14 +69,11 @@ class ScenePointer:
             self._history.edit(lambda _: base.dragged(grip, place), in_hand=True)
 
     def _release(self, event: PanEnd) -> None:
-        self._drag(event)
-        self._follow()
+        self._place = None
         if self._held is None:
             return
-        (_, base), self._held = self._held, None
-        if self._history.scene is not base:
-            self._history.remember(base)
-            self._history.settle()
+        (grip, base), self._held = self._held, None
+        self._history.drop(base, lambda _: base.dragged(grip, (event.x, event.y)))
 
     def _tap(self, event: PanStart | Tap) -> Grip | None:
         """Select and return the part at the pointer."""

@@ -29,6 +29,7 @@ _WIDE = 0.3  # [m]: margins from here on have the colour of a free robot
 _SCALE = ("#C8102E", "#E8730C", "#E8C20C", "#56B45D", "#2F89BD")  # of margins from 0 to `_WIDE`
 _USUAL_WIDTH = 800  # [px]
 _VEIL = 0.65  # opacity of the veil over an answer to another scene
+_STATUS = """document.getElementById("status").innerHTML = status.data.html[0];"""
 _GRIPS = {"start": "start", "dock": "goal", "obstacles": "muted"}
 
 
@@ -49,7 +50,7 @@ class SceneView:
     """
 
     def __init__(self, scene: EditedScene, variant: int) -> None:
-        from bokeh.models import BoxAnnotation, BoxSelectTool
+        from bokeh.models import BoxAnnotation, BoxSelectTool, ColumnDataSource, CustomJS
 
         self._variant = variant
         self.axes = axes_of(
@@ -70,6 +71,8 @@ class SceneView:
             (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
             draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
         self._draw_all()
+        status = self._sources["status"] = ColumnDataSource({"html": [""]})
+        status.js_on_change("data", CustomJS(args={"status": status}, code=_STATUS))
         self.data = DataPost(self._sources)
         self.show(scene)
         self.look_at(self.view)
@@ -155,6 +158,10 @@ class SceneView:
         self.data.send()
         self.fade(faded=False)
 
+    def show_status(self, html: str) -> None:
+        """Change the line above the figure, with the next message to the browser."""
+        self.data.put("status", {"html": [html]})
+
     def show_drive(self, drive: DrivenPlan) -> None:
         """Draw the way of a simulated drive."""
         self.data.put("drive", _line(drive.poses))
@@ -170,11 +177,11 @@ class SceneView:
 
         area, line = ("xs", "ys"), ("x", "y")
         ink = self.ink
-        faint = {"fill_color": "fill", "fill_alpha": 0.16, "line_color": "fill", "line_alpha": 0.35}
-        hot = {"line_color": ink("hot"), "line_width": 2.0}
+        faint: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.16, "line_color": "fill", "line_alpha": 0.35}
+        hot: dict[str, Any] = {"line_color": ink("hot"), "line_width": 2.0}
         self._add("obstacles", "Patches", area, "image", fill_color=ink("obstacle"), line_color=ink("ink"))
         self._add("station", "Patches", area, "image", fill_color=ink("dock"), line_color=ink("dock"))
-        closed = {"fill_color": ink("impossible"), "fill_alpha": 0.45, "line_alpha": 0.0}
+        closed: dict[str, Any] = {"fill_color": ink("impossible"), "fill_alpha": 0.45, "line_alpha": 0.0}
         self._add("region", "MultiPolygons", area, "underlay", **closed)
         self._add("cones", "Patches", area, "underlay", fill_color=ink("raw"), fill_alpha=0.08, line_alpha=0.0)
         self._add("swept", "Patches", (*area, "fill"), "underlay", **faint)
@@ -182,18 +189,18 @@ class SceneView:
         self._add("forward", "Line", line, "underlay", line_color=ink("path"), line_width=3.0)
         self._add("reverse", "Line", line, "underlay", line_color=ink("reverse"), line_width=3.0)
         self._add("drive", "Line", line, "underlay", line_color=ink("ink"), line_width=1.5)
-        cusp = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
+        cusp: dict[str, Any] = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
         self._add("cusps", "Scatter", line, "underlay", **cusp)
         self._add("places", "Patches", area, "underlay", fill_alpha=0.0, line_dash="dashed", **hot)
         self._add("nearest", "MultiLine", area, "underlay", **hot)
         self._veil = BoxAnnotation(fill_color=ink("paper"), fill_alpha=_VEIL, level="underlay", visible=False)
         self.axes.add_layout(self._veil)
         for name, colour in (("start", "start"), ("dock", "goal")):
-            edge = {"line_color": ink(colour), "line_width": 2.0}
+            edge: dict[str, Any] = {"line_color": ink(colour), "line_width": 2.0}
             self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
             self._add(f"{name} nose", "MultiLine", area, **edge)
         self._add(GHOST, "Patch", line, fill_color=ink("robot"), fill_alpha=0.6, line_color=ink("ink"))
-        disc = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
+        disc: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
 
     def _add(
