@@ -45,7 +45,7 @@ def shape_of(scene, name):
     return shapely.union_all(shapely.polygons(np.concatenate(placed)))
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.sampled_from(PARTS), points)
 def test_a_drag_that_ends_where_it_began_changes_nothing(name, place):
     grip = Grip(name, *place)
@@ -53,7 +53,7 @@ def test_a_drag_that_ends_where_it_began_changes_nothing(name, place):
     assert MIXED.nudged(grip, 0.0, 0.0) is MIXED
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.sampled_from(BODIES), points, points)
 def test_a_drag_there_and_back_restores_the_scene(name, begin, end):
     try:
@@ -120,7 +120,7 @@ def test_a_full_circle_in_steps_restores_the_scene(owner, degrees):
 
 
 @pytest.mark.parametrize("owner", ["start", "dock"])
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.floats(-math.pi, math.pi))
 def test_a_turning_handle_follows_the_pointer(owner, angle):
     pose = MIXED.problem.start if owner == "start" else MIXED.problem.goal

@@ -120,7 +120,7 @@ def test_a_link_names_no_map_and_reads_no_file(name, monkeypatch):
         from_link(packed(f"map: {name!r}\n{TEXT}"))
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(st.text() | st.binary().map(packed) | st.text().map(lambda text: packed(text.encode("utf-8", "replace"))))
 def test_any_text_ends_as_a_message(text):
     with pytest.raises(InvalidValue):
