@@ -19,12 +19,13 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 
-.PHONY: help demo test check unit test-experiments docs report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
+.PHONY: help demo test check unit test-experiments docs test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make docs         the documentation and its tests: every snippet runs, warnings are errors; open site/index.html"
 	@echo "make test-experiments  the tests of benchmarks, studies and the fuzzer"
+	@echo "make test-ui      the page of optdock ui in Chromium, pictures in results/ui/; skipped without Chromium"
 	@echo "make report-check  a report opened in Chromium, pictures in results/report/; needs Chromium, ARGS='FILE.html' checks that file"
 	@echo "make figures      the measured tables of the documentation against what their commands print now: hours;"
 	@echo "                  ARGS='contact' those of commands with that word in them, ARGS='contact --write' puts new figures in"
@@ -69,7 +70,7 @@ check: $(STAMP)
 	$(BIN)/lint-imports
 
 unit: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2 tests --ignore=tests/docs --ignore=tests/experiments
+	$(BIN)/python -m pytest -q -n 2 tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
 	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
 
 test: check unit
@@ -82,6 +83,10 @@ docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
+
+test-ui: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
+	$(BIN)/python -m pytest -q -rs tests/browser
 
 report-check: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright

@@ -14,7 +14,6 @@ from pydantic import ValidationError
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, planners, plugin_choice
 from optdock.config.scenario_keys import SECTIONS, ScenarioDocument, known_keys, synonym
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
-from optdock.geometry.arrays import frozen_array
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
@@ -29,7 +28,6 @@ from optdock.plugins.registry import PluginChoice
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.io.yaml_lines import Document
     from optdock.model.costmap import Costmap
@@ -55,7 +53,7 @@ class Scenario:
         source: The file.
         default_limits: Names of the motion limits that are missing in the file; these limits have the defaults of
             `MotionLimits`.
-        polygons: Obstacles of the file as whole polygons, Shape (n, 2) [m] each; the problem has their convex pieces.
+        polygons: Obstacles of the file as whole polygons of points [m]; the problem has their convex pieces.
             None if only the pieces are known.
     """
 
@@ -68,7 +66,7 @@ class Scenario:
     goal_checker: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["goal_checker"])
     source: Path = Path("scenario.yaml")
     default_limits: frozenset[str] = frozenset()
-    polygons: tuple[FloatArray, ...] | None = None
+    polygons: tuple[tuple[tuple[float, float], ...], ...] | None = None
 
     def plan(
         self, time_budget: float | None = None, *, cancel_checker: Callable[[], bool] = never_cancelled
@@ -138,7 +136,7 @@ def _scenario(located: Document, source: Path) -> Scenario:
         time_budget=document.time_budget,
         source=source,
         default_limits=frozenset(LIMIT_UNITS) - document.robot.limits.model_fields_set,
-        polygons=tuple(frozen_array(polygon, "obstacles", columns=2) for polygon in document.obstacles),
+        polygons=tuple(tuple((float(x), float(y)) for x, y in polygon) for polygon in document.obstacles),
         planner=planner,
         **choices,
     )

@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from optdock.errors import Cancelled, NoMotionExists
+from optdock.geometry.arrays import readonly
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import transform_points
 from optdock.impossibility import BlockedStraight, ImpossibilityProof
@@ -67,7 +68,7 @@ class MarkedPlace(NamedTuple):
     nearest: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class DrawnPlan:
     """Everything that the page shows of one answer.
 
@@ -236,7 +237,7 @@ def _few(motion: ShownMotion) -> ShownMotion:
 
 @functools.lru_cache(maxsize=1)  # the same proof holds for many scenes while the hand drags
 def _region(proof: ImpossibilityProof) -> tuple[tuple[FloatArray, ...], ...]:
-    return tuple(tuple(part) for part in rings_of(enclosed_area(proof)))
+    return tuple(tuple(map(readonly, part)) for part in rings_of(enclosed_area(proof)))
 
 
 # Places.

@@ -22,7 +22,7 @@ __all__ = ["DrivenPlan", "driven_plan"]
 _MOST_POSES = 800
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class DrivenPlan:
     """Everything that the page shows of a simulated drive.
 

@@ -84,7 +84,8 @@ class EditedScene:
             polygons: Whole obstacles of the problem; None: those of this scene.
         """
         whole = self.polygons if polygons is None else tuple(polygons)
-        scenario = dataclasses.replace(self.scenario, problem=problem, polygons=whole)
+        points = tuple(tuple((x, y) for x, y in polygon.tolist()) for polygon in whole)
+        scenario = dataclasses.replace(self.scenario, problem=problem, polygons=points)
         edited = dataclasses.replace(self, scenario=scenario)
         vars(edited)["polygons"] = whole  # known to match the problem
         return edited

@@ -36,6 +36,7 @@ from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, pl
 from optdock.samples.tube import Tube
 from optdock.simulation.closed_loop import Run
 from optdock.simulation.world import Record
+from optdock.ui import drawn_plan
 from optdock.verification import proximity
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
@@ -284,6 +285,7 @@ SHARED = {
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
+    "_region": lambda: drawn_plan._region(shut_in()),
     "body_of": lambda: collision_scene.body_of(problem().robot.footprint),
 }
 HOLD_NO_ARRAYS = {
