@@ -8,6 +8,9 @@ NEEDED = {f"{package}/py.typed" for package in PACKAGES} | {
     "optdock/__init__.pyi",
     "optdock/config/demo/hall.yaml",
     "optdock/config/demo/hall_map.png",
+    "optdock/reports/html/templates/page.html",
+    "optdock/ui/scenes/no_way.yaml",
+    "optdock/ui/templates/ui.html",
 }
 SUFFIXES = (".py", ".pyi", ".typed", ".yaml", ".png", ".css", ".html", ".js")
 
