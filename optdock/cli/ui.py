@@ -15,7 +15,9 @@ __all__ = ["ui"]
 def ui(
     source: Annotated[
         Path | None,
-        typer.Argument(help="Scenario, map or plan file; by default the built-in scenario.", show_default=False),
+        typer.Argument(
+            help="Scenario, map, plan file or log of a docking; by default the built-in scenario.", show_default=False
+        ),
     ] = None,
     *,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: any free one.")] = 5006,

@@ -32,7 +32,7 @@ for (let i = 0; i < shape.x.length; i++) {
 }
 ghost.data = {x: xs, y: ys};
 for (const cursor of cursors) cursor.location = at[k];
-slider.title = `${at[k].toFixed(2)} s`;
+slider.title = `${at[k].toFixed(2)} s ${motion.data.words[k] ?? ""}`;
 """
 # Advances the slider in real time until its end, or until the button is released.
 _PLAY = """
@@ -71,7 +71,7 @@ class CurveView:
         self.charts = column([], sizing_mode="stretch_width")
         self.slider = Slider(start=0, end=1, value=0, step=1, title="time", sizing_mode="stretch_width", name="player")
         self.play = Toggle(label="Play", width=80, name="play")
-        self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw")})
+        self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw", "words")})
         self._outline = ColumnDataSource({"x": [], "y": []})
         known: dict[str, Any] = {"motion": self._motion, "slider": self.slider}
         self._move = CustomJS(args={**known, "outline": self._outline, "ghost": ghost, "cursors": []}, code=_MOVE)
@@ -93,12 +93,15 @@ class CurveView:
             self.holder.tags = [self.data.post]
         self.show_player(*((np.zeros(0), np.zeros((0, 3))) if motion is None else (motion.at, motion.poses)), outline)
 
-    def show_player(self, at: FloatArray, poses: FloatArray, outline: FloatArray) -> None:
-        """Let the player move along poses, Shape (n, 3), at times, Shape (n,) [s]."""
+    def show_player(
+        self, at: FloatArray, poses: FloatArray, outline: FloatArray, words: Sequence[str] | None = None
+    ) -> None:
+        """Let the player move along poses, Shape (n, 3), at times, Shape (n,) [s], with a word for each of them."""
         self._outline.data = {"x": outline[:, 0], "y": outline[:, 1]}
         self.play.active = False
         self.slider.update(end=max(1, len(at) - 1), value=0, disabled=len(at) < 2)
-        self._motion.data = {"at": at, "x": poses[:, 0], "y": poses[:, 1], "yaw": poses[:, 2]}
+        shown = [""] * len(at) if words is None else [*words]
+        self._motion.data = {"at": at, "x": poses[:, 0], "y": poses[:, 1], "yaw": poses[:, 2], "words": shown}
 
     def _make_figures(self, panels: Sequence[MotionPanel]) -> None:
         from bokeh.models import ColumnDataSource

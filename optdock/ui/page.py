@@ -21,6 +21,7 @@ from optdock.ui.drawn_plan import DrawnPlan
 from optdock.ui.field_view import FieldView
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
+from optdock.ui.recorded_docking import RecordedDocking, recorded_docking
 from optdock.ui.request_process import RequestProcess
 from optdock.ui.scene_fields import with_field
 from optdock.ui.scene_files import open_scene, worked_scenes
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from optdock.ui.driven_plan import DrivenPlan
     from optdock.ui.scene_edits import EditedScene
 
-__all__ = ["PageSession", "make_page"]
+__all__ = ["PageSession", "make_page", "open_source"]
 
 _STALE = 150  # [ms] until an answer to another scene is faded
 _LONGEST_NAME = 200  # characters of a file in the address of a page
@@ -52,15 +53,23 @@ class PageSession:
         scene: The first scene.
         folder: Folder in which files are saved.
         variant: Variant of the colours of `PALETTE`: 0 for light, 1 for dark pages.
+        recorded: A docking that is played as long as its scene is shown.
     """
 
-    def __init__(self, document: Document, scene: EditedScene, folder: Path, variant: int = 0) -> None:
+    def __init__(
+        self,
+        document: Document,
+        scene: EditedScene,
+        folder: Path,
+        variant: int = 0,
+        recorded: RecordedDocking | None = None,
+    ) -> None:
         from bokeh.events import DocumentReady
         from bokeh.models import Div
 
         self.document, self.folder = document, folder
         self.shown: DrawnPlan | None = None
-        self._number = 0
+        self._number, self._recorded = 0, recorded
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
         self.curves = CurveView(self.view.source(GHOST), variant)
@@ -163,13 +172,23 @@ class PageSession:
             self.view.look_at(drawn.view)
             self.curves.show(drawn.motion, drawn.outline)
             self.words.text = answer_html(drawn)
+            self._show_recorded(drawn)
+
+    def _show_recorded(self, drawn: DrawnPlan) -> None:
+        """Play the recorded docking instead of the plan for its scene."""
+        recorded = self._recorded
+        if recorded is None or drawn.fingerprint != recorded.scene.fingerprint:
+            return
+        self.view.show_drive(recorded.poses, recorded.detections)
+        self.curves.show_player(recorded.times, recorded.poses, drawn.outline, recorded.states)
+        self.say(f"recorded: {recorded.ending}")
 
     def _show_drive(self, drive: DrivenPlan) -> None:
         self._show_status("")
         self.view.data.send()
         if drive.fingerprint != self.history.scene.fingerprint:
             return
-        self.view.show_drive(drive)
+        self.view.show_drive(drive.poses)
         if self.shown is not None and len(drive.times):
             self.curves.show_player(drive.times, drive.poses, self.shown.outline)
         self.say(drive_text(drive), is_bad=drive.outcome != "docked")
@@ -229,17 +248,30 @@ def make_page(document: Document, source: Path | None, folder: Path, arguments: 
     given = {name: arguments.get(name, [b""])[0].decode("utf-8", "replace") for name in ("scene", "file", "theme")}
     fault = ""
     try:
-        scene = _first_scene(source, folder, given)
+        opened = _opened(source, folder, given)
     except OptdockError as error:
-        scene, fault = open_scene(source, folder), str(error)
-    page = PageSession(document, scene, folder, int(given["theme"] == "dark"))
+        opened, fault = open_source(source, folder), str(error)
+    scene, recorded = (opened.scene, opened) if isinstance(opened, RecordedDocking) else (opened, None)
+    page = PageSession(document, scene, folder, int(given["theme"] == "dark"), recorded)
     if fault:
         page.say(fault, is_bad=True)
 
 
-def _first_scene(source: Path | None, folder: Path, given: Mapping[str, str]) -> EditedScene:
+def open_source(source: str | Path | None, folder: Path) -> EditedScene | RecordedDocking:
+    """Return the scene of a file, or the docking of a log, a file with the suffix `.jsonl`; see `open_scene`.
+
+    Raises:
+        InvalidFile: If the file cannot be read.
+        InvalidValue: If it is not inside the folder, or does not fit.
+    """
+    if source is not None and str(source).lower().endswith(".jsonl"):
+        return recorded_docking(source, folder)
+    return open_scene(source, folder)
+
+
+def _opened(source: Path | None, folder: Path, given: Mapping[str, str]) -> EditedScene | RecordedDocking:
     if given["scene"]:
         return from_link(given["scene"])
     if len(given["file"]) > _LONGEST_NAME:
         raise InvalidValue(f"file: must have at most {_LONGEST_NAME} characters, got {shown(given['file'])}")
-    return open_scene(given["file"] or source, folder)
+    return open_source(given["file"] or source, folder)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
 
-__all__ = ["open_scene", "saved", "worked_scenes"]
+__all__ = ["inside", "open_scene", "saved", "worked_scenes"]
 
 _NAME = re.compile(r"[^\W_][\w .+-]{0,99}", re.ASCII)
 _MOST_SCENARIOS = 200  # that are compared with a plan
@@ -74,7 +74,7 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
     """
     if source is None:
         return EditedScene(load_scenario(demo_scenario()))
-    file = _inside(source, folder)
+    file = inside(source, folder)
     if file.suffix.lower() == ".json":
         return _scene_of_plan(file, Path(folder))
     content = load_yaml(file).value
@@ -113,7 +113,7 @@ def saved(scene: EditedScene, name: str, folder: str | Path, *, overwrite: bool 
         else [target.with_name(f"{target.stem}_map{end}") for end in (".yaml", ".pgm")]
     )
     for file in (target, *drawn):
-        _inside(file, folder)
+        inside(file, folder)
         if os.path.lexists(file) and not overwrite:
             raise InvalidValue(f"name: {file.name} exists")
     return save_scenario(target, scene.scenario, obstacles=scene.polygons, map_source=source)
@@ -128,7 +128,12 @@ def _is_inside(file: str | Path, folder: str | Path) -> bool:
         return False
 
 
-def _inside(file: str | Path, folder: str | Path) -> Path:
+def inside(file: str | Path, folder: str | Path) -> Path:
+    """Return the path of a file.
+
+    Raises:
+        InvalidValue: If the file is not inside the folder.
+    """
     if not (isinstance(file, str | Path) and _is_inside(file, folder)):
         raise InvalidValue(f"file: {shown(str(file))} is not in the folder of optdock ui, {shown(str(folder))}")
     return Path(folder).resolve() / file
@@ -137,7 +142,7 @@ def _inside(file: str | Path, folder: str | Path) -> Path:
 def _named_in(content: Mapping[str, object], key: str, file: Path, folder: str | Path) -> Path | None:
     """Return the file that is the value of a key, relative to the file with the key; None if there is none."""
     name = content.get(key)
-    return _inside(file.parent / name, folder) if isinstance(name, str) else None
+    return inside(file.parent / name, folder) if isinstance(name, str) else None
 
 
 def _scene_of_scenario(file: Path, folder: str | Path) -> EditedScene:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.ui.drawn_plan import DrawnPlan
-    from optdock.ui.driven_plan import DrivenPlan
     from optdock.ui.scene_edits import EditedScene
 
 __all__ = ["GHOST", "SceneView", "margin_colours"]
@@ -162,9 +161,11 @@ class SceneView:
         """Change the line above the figure, with the next message to the browser."""
         self.data.put("status", {"html": [html]})
 
-    def show_drive(self, drive: DrivenPlan) -> None:
-        """Draw the way of a simulated drive."""
-        self.data.put("drive", _line(drive.poses))
+    def show_drive(self, poses: FloatArray, detections: FloatArray | None = None) -> None:
+        """Draw the way of a robot, Shape (n, 3), and detected docked poses, Shape (m, 3)."""
+        self.data.put("drive", _line(poses))
+        if detections is not None:
+            self.data.put("detections", _line(detections))
         self.data.send()
 
     def fade(self, *, faded: bool) -> None:
@@ -189,6 +190,8 @@ class SceneView:
         self._add("forward", "Line", line, "underlay", line_color=ink("path"), line_width=3.0)
         self._add("reverse", "Line", line, "underlay", line_color=ink("reverse"), line_width=3.0)
         self._add("drive", "Line", line, "underlay", line_color=ink("ink"), line_width=1.5)
+        seen: dict[str, Any] = {"size": 7, "marker": "x", "line_color": ink("goal"), "line_width": 1.5}
+        self._add("detections", "Scatter", line, "underlay", **seen)
         cusp: dict[str, Any] = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
         self._add("cusps", "Scatter", line, "underlay", **cusp)
         self._add("places", "Patches", area, "underlay", fill_alpha=0.0, line_dash="dashed", **hot)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue, MissingExtra
-from optdock.ui.page import make_page
-from optdock.ui.scene_files import open_scene
+from optdock.ui.page import make_page, open_source
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,7 +22,7 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
     """Return a server of the page, which is listening but not running yet.
 
     Args:
-        source: File that the page opens first, see `open_scene`; None: the built-in scenario.
+        source: File that the page opens first, see `open_source`; None: the built-in scenario.
         folder: Folder in which the page may read and write files.
         port: TCP port; 0: any free one.
         address: Address to listen on. Other addresses than local ones make the page, and the files of the folder,
@@ -40,7 +39,7 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
         from bokeh.server.server import Server
     except ImportError as error:
         raise MissingExtra("the page needs Bokeh: pip install 'optdock[ui]'") from error
-    open_scene(source, folder)  # so that errors are reported here and not in the browser
+    open_source(source, folder)  # so that errors are reported here and not in the browser
     pages: list[Document] = []
 
     def opened(document: Document) -> None:

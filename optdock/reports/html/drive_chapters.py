@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from optdock.reports.html.page import Block
     from optdock.samples.tube import Deviations
 
-__all__ = ["log_chapter", "run_chapter"]
+__all__ = ["detected_docks", "log_chapter", "run_chapter"]
 
 _TIME = "time [s]"
 _MOST_EVENTS = 400
@@ -213,7 +213,7 @@ def _log_content(log: DockingLog) -> Content:
     blocks: list[Block] = []
     player = None
     if posed.size:
-        blocks.append(_log_scene(log, _detected(log, times, poses)))
+        blocks.append(_log_scene(log, detected_docks(log, times, poses)))
         kept = thinned(posed.size)
         at, shown = times[posed[kept]], poses[kept]
         away = np.hypot(shown[:, 0] - problem.goal.x, shown[:, 1] - problem.goal.y)
@@ -231,7 +231,7 @@ def _log_content(log: DockingLog) -> Content:
     return Content([*blocks, *_log_tables(log)], player)
 
 
-def _detected(log: DockingLog, times: FloatArray, poses: FloatArray) -> FloatArray:
+def detected_docks(log: DockingLog, times: FloatArray, poses: FloatArray) -> FloatArray:
     """Return the detected docked poses in the fixed frame, with the measured pose at their stamps, Shape (n, 3)."""
     began = log.cycles[0].measurements.stamp
     stamps = [

@@ -12,10 +12,12 @@ pytest.importorskip("bokeh")
 from bokeh.document import Document
 from bokeh.events import Pan, PanEnd, PanStart
 
-from optdock.errors import NoMotionExists
+import optdock as od
+from optdock.errors import InvalidValue, NoMotionExists
+from optdock.simulation import DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.ui import page as page_module
 from optdock.ui.drawn_plan import drawn_plan
-from optdock.ui.page import PageSession, make_page
+from optdock.ui.page import PageSession, make_page, open_source
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP
@@ -218,3 +220,32 @@ def test_colours_of_margins_go_from_red_to_blue():
     low, *_, high, higher = margin_colours(np.array([0.0, 0.1, 0.3, 2.0]))
     assert (low, high, higher) == ("#C8102E", "#2F89BD", "#2F89BD")
     assert margin_colours(np.array([-0.1])) == ["#C8102E"]
+
+
+def test_a_log_is_played_until_the_scene_changes(monkeypatch, tmp_path):
+    robot = od.Robot(od.Footprint.rectangle(0.3, 0.3, 0.5), od.MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))
+    dock = od.Dock(od.Pose2(2.0, 0.0, 0.0), final_straight=0.1, approach_speed=0.15, approach_distance=0.2)
+    problem = od.DockingProblem(od.Pose2(0.9, 0.2, -0.1), dock, robot)
+    sensors = Sensors(PoseSensor(0.005, 0.009), dock=DockSensor(latency=0.06))
+    world = SimulatedRobot(DifferentialDrive(robot), start=problem.start, dock_pose=dock.pose, sensors=sensors)
+    with od.LogWriter(tmp_path / "docking.jsonl") as log:
+        executor = od.DockingExecutor(problem, log=log)
+        step = executor.step(world.measurements)
+        while step.ending is None:
+            step = executor.step(world.advance(step.command, 0.1))
+    monkeypatch.setattr(page_module, "RequestProcess", Requests)
+    recorded = open_source("docking.jsonl", tmp_path)
+    assert recorded.ending.startswith("dock in ")
+    assert len(recorded.times) == len(recorded.poses) == len(recorded.states)
+    page = PageSession(Document(), recorded.scene, tmp_path, 0, recorded)
+    page.process.answer(page)
+    assert np.allclose(page.curves._motion.data["x"], recorded.poses[:, 0])
+    assert page.curves._motion.data["words"] == recorded.states
+    assert len(page.view.data.columns["drive"]["x"]) == len(recorded.poses)
+    assert "recorded: dock in" in page.message.text
+    page.history.nudge(0.1, 0.0)
+    page.process.answer(page)
+    assert set(page.curves._motion.data["words"]) == {""}
+    assert page.view.data.columns["drive"]["x"] == []
+    with pytest.raises(InvalidValue, match="is not in the folder"):
+        open_source("../docking.jsonl", tmp_path / "inner")
