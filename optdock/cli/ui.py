@@ -16,7 +16,8 @@ def ui(
     source: Annotated[
         Path | None,
         typer.Argument(
-            help="Scenario, map, plan file or log of a docking; by default the built-in scenario.", show_default=False
+            help="Scenario, map, plan file, log of a docking, or folder of a survey; by default the built-in scenario.",
+            show_default=False,
         ),
     ] = None,
     *,

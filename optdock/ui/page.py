@@ -19,16 +19,19 @@ from optdock.reports.html.figures import PALETTE
 from optdock.ui.curve_view import CurveView
 from optdock.ui.drawn_plan import DrawnPlan
 from optdock.ui.field_view import FieldView
+from optdock.ui.floor_view import FloorView
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
 from optdock.ui.recorded_docking import RecordedDocking, recorded_docking
 from optdock.ui.request_process import RequestProcess
+from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_fields import with_field
-from optdock.ui.scene_files import open_scene, worked_scenes
+from optdock.ui.scene_files import inside, open_scene, worked_scenes
 from optdock.ui.scene_history import SceneHistory
 from optdock.ui.scene_links import from_link, to_link
 from optdock.ui.scene_pointer import ScenePointer
 from optdock.ui.scene_view import GHOST, SceneView
+from optdock.ui.surveyed_floor import SurveyedFloor, surveyed_floor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -37,7 +40,6 @@ if TYPE_CHECKING:
     from bokeh.document import Document
 
     from optdock.ui.driven_plan import DrivenPlan
-    from optdock.ui.scene_edits import EditedScene
 
 __all__ = ["PageSession", "make_page", "open_source"]
 
@@ -53,7 +55,7 @@ class PageSession:
         scene: The first scene.
         folder: Folder in which files are saved.
         variant: Variant of the colours of `PALETTE`: 0 for light, 1 for dark pages.
-        recorded: A docking that is played as long as its scene is shown.
+        recorded: A docking that is played as long as its scene is shown, or a survey that is drawn below the scene.
     """
 
     def __init__(
@@ -62,14 +64,15 @@ class PageSession:
         scene: EditedScene,
         folder: Path,
         variant: int = 0,
-        recorded: RecordedDocking | None = None,
+        recorded: RecordedDocking | SurveyedFloor | None = None,
     ) -> None:
         from bokeh.events import DocumentReady
         from bokeh.models import Div
 
         self.document, self.folder = document, folder
         self.shown: DrawnPlan | None = None
-        self._number, self._recorded = 0, recorded
+        self._number = 0
+        self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
         self.curves = CurveView(self.view.source(GHOST), variant)
@@ -77,6 +80,7 @@ class PageSession:
         self.toolbar = PageToolbar(self)
         self.pointer = ScenePointer(document, self.view, self.history, self.show_scene)
         self.message, self.words = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
+        self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
         document.on_event(DocumentReady, lambda _: self.view.data.begin())
         self._compose(variant)
@@ -208,7 +212,7 @@ class PageSession:
         curves, groups = self.curves, self.fields.groups
         roots: dict[str, Any] = {
             "scene": self.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
-            "data": self.data, "curve_data": curves.holder, "message": self.message,
+            "floor": self.floor.box, "data": self.data, "curve_data": curves.holder, "message": self.message,
             "words": self.words, **self.toolbar.roots, **{f"fields_{name}": group for name, group in groups.items()},
         }  # fmt: skip
         for name, root in roots.items():
@@ -251,14 +255,14 @@ def make_page(document: Document, source: Path | None, folder: Path, arguments: 
         opened = _opened(source, folder, given)
     except OptdockError as error:
         opened, fault = open_source(source, folder), str(error)
-    scene, recorded = (opened.scene, opened) if isinstance(opened, RecordedDocking) else (opened, None)
+    scene, recorded = (opened, None) if isinstance(opened, EditedScene) else (opened.scene, opened)
     page = PageSession(document, scene, folder, int(given["theme"] == "dark"), recorded)
     if fault:
         page.say(fault, is_bad=True)
 
 
-def open_source(source: str | Path | None, folder: Path) -> EditedScene | RecordedDocking:
-    """Return the scene of a file, or the docking of a log, a file with the suffix `.jsonl`; see `open_scene`.
+def open_source(source: str | Path | None, folder: Path) -> EditedScene | RecordedDocking | SurveyedFloor:
+    """Return the scene of a file, the docking of a log (suffix `.jsonl`), or the survey of a folder.
 
     Raises:
         InvalidFile: If the file cannot be read.
@@ -266,10 +270,14 @@ def open_source(source: str | Path | None, folder: Path) -> EditedScene | Record
     """
     if source is not None and str(source).lower().endswith(".jsonl"):
         return recorded_docking(source, folder)
+    if source is not None and (inside(source, folder) / "survey.json").is_file():
+        return surveyed_floor(source, folder)
     return open_scene(source, folder)
 
 
-def _opened(source: Path | None, folder: Path, given: Mapping[str, str]) -> EditedScene | RecordedDocking:
+def _opened(
+    source: Path | None, folder: Path, given: Mapping[str, str]
+) -> EditedScene | RecordedDocking | SurveyedFloor:
     if given["scene"]:
         return from_link(given["scene"])
     if len(given["file"]) > _LONGEST_NAME:

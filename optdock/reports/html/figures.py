@@ -42,6 +42,7 @@ __all__ = [
     "curve_figure",
     "draw_area",
     "draw_curve",
+    "draw_layers",
     "draw_map",
     "draw_outlines",
     "draw_point",
@@ -332,11 +333,37 @@ def layer_figure(x: FloatArray, y: FloatArray, layers: Sequence[NDArray[np.uint8
     """
     axes = axes_of("x [m]", "y [m]", sizing_mode="stretch_both", match_aspect=True)
     from bokeh.models import ColorBar, LinearColorMapper
-    from bokeh.palettes import viridis
 
-    scale = viridis(250)
-    marks = [PALETTE[name][0] for name in ("paper", "impossible", "hot", "occupied")]
-    mapper = LinearColorMapper(palette=[*scale, *marks], low=-0.5, high=len(scale) + len(marks) - 0.5)
+    draw_layers(axes, x, y, layers)
+    ink, paper = PALETTE["muted"][0], PALETTE["paper"][0]
+    seconds = LinearColorMapper(palette=_seconds_scale(), low=0.0, high=longest)
+    bar = ColorBar(color_mapper=seconds, title="time [s]", title_text_color=ink, major_label_text_color=ink, width=12)
+    bar.background_fill_color = paper
+    axes.add_layout(bar, "right")
+    return axes
+
+
+def draw_layers(
+    axes: plotting.figure,
+    x: FloatArray,
+    y: FloatArray,
+    layers: Sequence[NDArray[np.uint8]],
+    colours: Sequence[str] | None = None,
+) -> list[GlyphRenderer]:
+    """Draw maps of a grid, one on top of the other, of which the first one is visible.
+
+    Args:
+        axes: Figure in metres.
+        x: Positions of the columns, increasing [m].
+        y: Positions of the rows, increasing [m].
+        layers: Codes of the cells, see `layer_figure`.
+        colours: Colours of empty, impossible, not found and occupied cells; None: those of light pages.
+    """
+    from bokeh.models import LinearColorMapper
+
+    marks = [PALETTE[name][0] for name in ("paper", "impossible", "hot", "occupied")] if colours is None else colours
+    palette = [*_seconds_scale(), *marks]
+    mapper = LinearColorMapper(palette=palette, low=-0.5, high=len(palette) - 0.5)
     wide, high = (float(np.diff(axis).min()) if axis.size > 1 else 1.0 for axis in (x, y))
     place = {
         "x": [x[0] - 0.5 * wide],
@@ -344,15 +371,18 @@ def layer_figure(x: FloatArray, y: FloatArray, layers: Sequence[NDArray[np.uint8
         "dw": [x[-1] - x[0] + wide],
         "dh": [y[-1] - y[0] + high],
     }
+    drawn = []
     for number, codes in enumerate(layers):
         image = _draw(axes, "Image", {"image": [codes], **place}, f"{_LAYER}-{number}", color_mapper=mapper)
         image.visible = number == 0
-    ink, paper = PALETTE["muted"][0], PALETTE["paper"][0]
-    seconds = LinearColorMapper(palette=scale, low=0.0, high=longest)
-    bar = ColorBar(color_mapper=seconds, title="time [s]", title_text_color=ink, major_label_text_color=ink, width=12)
-    bar.background_fill_color = paper
-    axes.add_layout(bar, "right")
-    return axes
+        drawn.append(image)
+    return drawn
+
+
+def _seconds_scale() -> list[str]:
+    from bokeh.palettes import viridis
+
+    return list(viridis(250))
 
 
 def draw_map(axes: plotting.figure, costmap: Costmap, view: View) -> list[LegendEntry]:
