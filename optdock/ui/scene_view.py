@@ -93,7 +93,6 @@ class SceneView:
         )
         if self.view != old or not extends or not self.data.columns["frame"]:
             self.data.put("frame", {name: [value] for name, value in self.view._asdict().items()})
-            self.data.send()
 
     def metres(self, pixels: float) -> float:
         """Return the length of a number of pixels [m]."""
@@ -155,7 +154,6 @@ class SceneView:
         self.data.put("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
         self.data.put("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
         self.data.put("drive", _line(np.zeros((0, 2))))
-        self.data.send()
         self.fade(faded=False)
 
     def show_status(self, html: str) -> None:
@@ -165,7 +163,6 @@ class SceneView:
     def show_drive(self, drive: DrivenPlan) -> None:
         """Draw the way of a simulated drive."""
         self.data.put("drive", _line(drive.poses))
-        self.data.send()
 
     def fade(self, *, faded: bool) -> None:
         """Draw the answer faintly, because it belongs to another scene, or normally."""
