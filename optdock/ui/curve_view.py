@@ -116,7 +116,8 @@ class CurveView:
     def _figure(self, panel: MotionPanel, source: ColumnDataSource) -> tuple[plotting.figure, Span]:
         from bokeh.models import Line, Span
 
-        axes = axes_of("time [s]", panel.label, height=150, x_range=(0.0, 1.0), y_range=panel.axis_range, tools="")
+        ranges: dict[str, Any] = {"x_range": (0.0, 1.0), "y_range": panel.axis_range}
+        axes = axes_of("time [s]", panel.label, variant=self._variant, height=150, tools="", **ranges)
         axes.toolbar_location = None
         limit = {"line_color": PALETTE["limit"][self._variant], "line_dash": "dashed", "line_width": 1.5}
         for name in ("upper", "lower"):

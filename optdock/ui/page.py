@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import time
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 __all__ = ["PageSession", "make_page", "open_source"]
 
 _STALE = 150  # [ms] until an answer to another scene is faded
+_LONGEST_STILL = 0.1  # [s] for which the picture may stay while the hand moves
 _LONGEST_NAME = 200  # characters of a file in the address of a page
 
 
@@ -73,6 +75,7 @@ class PageSession:
         self.shown: DrawnPlan | None = None
         self._number = 0
         self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
+        self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
         self.curves = CurveView(self.view.source(GHOST), variant)
@@ -108,11 +111,15 @@ class PageSession:
         self._number += 1
         scene = self.history.scene
         self.process.ask_drive(scene.scenario, self._number, scene.fingerprint)
-        self._show_status("driving")
-        self.view.data.send()
+        with self._one_message():
+            self._show_status("driving")
 
     def show_scene(self) -> None:
         """Draw the scene and the selected part."""
+        with self._one_message():
+            self._draw_scene()
+
+    def _draw_scene(self) -> None:
         history = self.history
         self.view.show(history.scene, history.selected)
         self.toolbar.show([one.name for one in history.scene.handles()], history.selected)
@@ -123,12 +130,16 @@ class PageSession:
         self.history.edit(functools.partial(with_field, key=key, text=text), in_hand=moves)
 
     def _changed(self, *, in_hand: bool, fault: str) -> None:
-        """Show the scene after a change, and request a plan."""
-        with self._one_message():
+        """Show the scene after a change, and request a plan.
+
+        A scene in the hand is sent with its answer, unless the last picture is older than `_LONGEST_STILL`.
+        """
+        is_due = not in_hand or time.monotonic() - self._sent_at > _LONGEST_STILL
+        with self._one_message(sends=is_due):
             self.say(fault, is_bad=True)
             if not fault:
                 self._ask(in_hand=in_hand)
-            self.show_scene()
+            self._draw_scene()
             if not in_hand:
                 self.fields.show(self.history.scene)
                 self.toolbar.link.text = _link_to(self.history.scene)
@@ -144,11 +155,21 @@ class PageSession:
     # Answers.
 
     @contextlib.contextmanager
-    def _one_message(self) -> Iterator[None]:
-        """Send all changes within the context as one message."""
+    def _one_message(self, *, sends: bool = True) -> Iterator[None]:
+        """Send all changes within the context as one message.
+
+        The layers of the figure are sent once, at the end: Bokeh combines changes of a property by dropping all but the
+        last one.
+
+        Args:
+            sends: Whether the layers of the figure are sent as well.
+        """
         self.document.hold("combine")
         try:
             yield
+            if sends:
+                self.view.data.send()
+                self._sent_at = time.monotonic()
         finally:
             self.document.unhold()
 
@@ -189,7 +210,6 @@ class PageSession:
 
     def _show_drive(self, drive: DrivenPlan) -> None:
         self._show_status("")
-        self.view.data.send()
         if drive.fingerprint != self.history.scene.fingerprint:
             return
         self.view.show_drive(drive.poses)
@@ -203,7 +223,8 @@ class PageSession:
     def _fade(self, number: int) -> None:
         """Fade the answer if it still belongs to another scene than that of a request."""
         if number == self._number and self.shown is not None:
-            self.view.fade(faded=self.shown.fingerprint != self.history.scene.fingerprint)
+            with self._one_message():
+                self.view.fade(faded=self.shown.fingerprint != self.history.scene.fingerprint)
 
     def _compose(self, variant: int) -> None:
         """Add the roots of the document to its template."""

@@ -53,7 +53,12 @@ class SceneView:
 
         self._variant = variant
         self.axes = axes_of(
-            "x [m]", "y [m]", sizing_mode="stretch_both", match_aspect=True, tools="wheel_zoom,pan,reset"
+            "x [m]",
+            "y [m]",
+            sizing_mode="stretch_both",
+            match_aspect=True,
+            tools="wheel_zoom,pan,reset",
+            variant=variant,
         )
         self.axes.toolbar.autohide = False
         # An active tool for drags, so that a finger on the figure drags instead of scrolling the page.
@@ -92,7 +97,6 @@ class SceneView:
         )
         if self.view != old or not extends or not self.data.columns["frame"]:
             self.data.put("frame", {name: [value] for name, value in self.view._asdict().items()})
-            self.data.send()
 
     def metres(self, pixels: float) -> float:
         """Return the length of a number of pixels [m]."""
@@ -154,7 +158,6 @@ class SceneView:
         self.data.put("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
         self.data.put("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
         self.data.put("drive", _line(np.zeros((0, 2))))
-        self.data.send()
         self.fade(faded=False)
 
     def show_status(self, html: str) -> None:
@@ -166,7 +169,6 @@ class SceneView:
         self.data.put("drive", _line(poses))
         if detections is not None:
             self.data.put("detections", _line(detections))
-        self.data.send()
 
     def fade(self, *, faded: bool) -> None:
         """Draw the answer faintly, because it belongs to another scene, or normally."""

@@ -129,12 +129,19 @@ def check_bokeh() -> None:
         raise MissingExtra("reports need Bokeh: pip install 'optdock[report]'") from error
 
 
-def axes_of(x_label: str, y_label: str, **options: Any) -> plotting.figure:  # noqa: ANN401 - options of Bokeh
+def axes_of(
+    x_label: str,
+    y_label: str,
+    *,
+    variant: int = 0,
+    **options: Any,  # noqa: ANN401 - options of Bokeh
+) -> plotting.figure:
     """Return an empty figure that is as wide as its place on the page.
 
     Args:
         x_label: Label of the horizontal axis, with its unit.
         y_label: Label of the vertical axis, with its unit.
+        variant: Variant of the colours of `PALETTE`.
         **options: Options of `bokeh.plotting.figure`.
 
     Raises:
@@ -143,7 +150,7 @@ def axes_of(x_label: str, y_label: str, **options: Any) -> plotting.figure:  # n
     check_bokeh()
     from bokeh.plotting import figure
 
-    ink, muted, grid, paper = (PALETTE[name][0] for name in ("ink", "muted", "grid", "paper"))
+    ink, muted, grid, paper = (PALETTE[name][variant] for name in ("ink", "muted", "grid", "paper"))
     options = {"height": 230, "sizing_mode": "stretch_width", "tools": "pan,wheel_zoom,box_zoom,reset"} | options
     axes = figure(
         x_axis_label=x_label,
