@@ -68,7 +68,7 @@ class CurveView:
         self._axes: list[plotting.figure] = []
         self.data = DataPost({})
         self.holder = Div(visible=False, tags=[self.data.post])  # data without a figure are in no document otherwise
-        self.charts = column([], sizing_mode="stretch_width")
+        self.charts = column([Div(text="")], sizing_mode="stretch_width")
         self.slider = Slider(start=0, end=1, value=0, step=1, title="time", sizing_mode="stretch_width", name="player")
         self.play = Toggle(label="Play", width=80, name="play")
         self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw", "words")})
@@ -88,7 +88,7 @@ class CurveView:
             for row, panel in enumerate(panels):
                 self._show_panel(motion, panel, row)
             self.data.send()
-        if [*self.charts.children] != self._axes:
+        if self._axes and [*self.charts.children] != self._axes:
             self.charts.children = [*self._axes]
             self.holder.tags = [self.data.post]
         self.show_player(*((np.zeros(0), np.zeros((0, 3))) if motion is None else (motion.at, motion.poses)), outline)

@@ -193,7 +193,7 @@ def curve_figure(
     Raises:
         MissingExtra: If Bokeh is not installed.
     """
-    ranges = {"x_range": span} if y_range is None else {"x_range": span, "y_range": y_range}
+    ranges: dict[str, Any] = {"x_range": span} if y_range is None else {"x_range": span, "y_range": y_range}
     axes = axes_of(labels[0], labels[1], **ranges)
     from bokeh.models import HoverTool, Span
 
