@@ -50,6 +50,8 @@ const advance = () => {
 requestAnimationFrame(advance);
 """
 
+_COLUMNS = ("at", "value", "upper", "lower")
+
 
 class CurveView:
     """Curves of a motion, and a player that moves a robot along it.
@@ -81,17 +83,23 @@ class CurveView:
 
     def show(self, motion: ShownMotion | None, outline: FloatArray) -> None:
         """Show the curves of a motion, and put the player at its beginning."""
-        panels = () if motion is None else tuple(motion.panels)
-        if tuple(panel.label for panel in panels) != self._labels:
-            self._make_figures(panels)
-        if motion is not None:
-            for row, panel in enumerate(panels):
-                self._show_panel(motion, panel, row)
+        if motion is None:
+            for row in range(len(self._axes)):
+                self.data.put(str(row), dict.fromkeys(_COLUMNS, ()))
             self.data.send()
-        if self._axes and [*self.charts.children] != self._axes:
+            self.show_player(np.zeros(0), np.zeros((0, 3)), outline)
+            return
+        is_new = tuple(panel.label for panel in motion.panels) != self._labels
+        if is_new:
+            self._make_figures(motion.panels)
+        for row, panel in enumerate(motion.panels):
+            self._show_panel(motion, panel, row)
+        if is_new:
             self.charts.children = [*self._axes]
             self.holder.tags = [self.data.post]
-        self.show_player(*((np.zeros(0), np.zeros((0, 3))) if motion is None else (motion.at, motion.poses)), outline)
+            self.data.begin()
+        self.data.send()
+        self.show_player(motion.at, motion.poses, outline)
 
     def show_player(
         self, at: FloatArray, poses: FloatArray, outline: FloatArray, words: Sequence[str] | None = None
@@ -107,7 +115,7 @@ class CurveView:
         from bokeh.models import ColumnDataSource
 
         self._labels = tuple(panel.label for panel in panels)
-        sources = [ColumnDataSource({name: [] for name in ("at", "value", "upper", "lower")}) for _ in panels]
+        sources = [ColumnDataSource({name: [] for name in _COLUMNS}) for _ in panels]
         made = [self._figure(panel, source) for panel, source in zip(panels, sources, strict=True)]
         self._axes = [axes for axes, _ in made]
         self._move.args = {**self._move.args, "cursors": [cursor for _, cursor in made]}

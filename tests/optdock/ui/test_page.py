@@ -156,6 +156,12 @@ def test_no_way_is_shown_as_the_closed_region(worked):
     assert "0.04 m too wide" in status(page)
     assert len(page.view.data.columns["swept"].get("xs", ())) == 0
     assert page.curves.slider.disabled
+    page.load_worked("reverse_bay")
+    page.process.answer(page)
+    assert len(page.curves.data.columns["0"]["value"]) > 100
+    page.load_worked("no_way")
+    page.process.answer(page)
+    assert page.curves.data.columns["0"]["value"] == []
 
 
 def test_a_wrong_field_is_a_message_and_the_scene_stays(worked):
