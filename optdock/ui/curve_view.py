@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optdock.reports.html.figures import PALETTE, axes_of
+from optdock.reports.html.figures import PALETTE
 from optdock.ui.data_post import DataPost
+from optdock.ui.scene_view import figure_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -113,7 +114,9 @@ class CurveView:
     def _figure(self, panel: MotionPanel, source: ColumnDataSource) -> tuple[plotting.figure, Span]:
         from bokeh.models import Line, Span
 
-        axes = axes_of("time [s]", panel.label, height=150, x_range=(0.0, 1.0), y_range=panel.axis_range, tools="")
+        sizes: dict[str, Any] = {"height": 165, "x_range": (0.0, 1.0), "y_range": panel.axis_range, "tools": ""}
+        axes = figure_in(self._variant, "time [s]", "", title=panel.label, **sizes)
+        axes.title.text_font_style = "normal"
         axes.toolbar_location = None
         limit = {"line_color": PALETTE["limit"][self._variant], "line_dash": "dashed", "line_width": 1.5}
         for name in ("upper", "lower"):

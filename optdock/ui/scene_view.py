@@ -15,6 +15,7 @@ from optdock.ui.data_post import DataPost
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from bokeh import plotting
     from bokeh.models import ColumnDataSource, GlyphRenderer
 
     from optdock.geometry.arrays import BoolArray, FloatArray
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.ui.driven_plan import DrivenPlan
     from optdock.ui.scene_edits import EditedScene
 
-__all__ = ["GHOST", "SceneView", "margin_colours"]
+__all__ = ["GHOST", "SceneView", "figure_in", "margin_colours"]
 
 GHOST = "ghost"  # name of the robot that the player moves
 _WIDE = 0.3  # [m]: margins from here on have the colour of a free robot
@@ -41,6 +42,18 @@ def margin_colours(margins: FloatArray) -> list[str]:
     return [f"#{r:02X}{g:02X}{b:02X}" for r, g, b in zip(*mixed, strict=True)]
 
 
+def figure_in(variant: int, x_label: str, y_label: str, **options: Any) -> plotting.figure:  # noqa: ANN401 - of Bokeh
+    """Return an empty figure, see `reports.html.figures.axes_of`, in the colours of a variant of `PALETTE`."""
+    axes = axes_of(x_label, y_label, **options)
+    ink, muted, grid, paper = (PALETTE[name][variant] for name in ("ink", "muted", "grid", "paper"))
+    axes.background_fill_color = axes.border_fill_color = paper
+    axes.outline_line_color = axes.grid.grid_line_color = grid
+    axes.title.text_color = axes.axis.axis_label_text_color = ink
+    for name in ("major_label_text", "axis_line", "major_tick_line", "minor_tick_line"):
+        setattr(axes.axis, f"{name}_color", muted)
+    return axes
+
+
 class SceneView:
     """Figure in metres with equal scales.
 
@@ -53,8 +66,8 @@ class SceneView:
         from bokeh.models import BoxAnnotation, BoxSelectTool, ColumnDataSource, CustomJS
 
         self._variant = variant
-        self.axes = axes_of(
-            "x [m]", "y [m]", sizing_mode="stretch_both", match_aspect=True, tools="wheel_zoom,pan,reset"
+        self.axes = figure_in(
+            variant, "x [m]", "y [m]", sizing_mode="stretch_both", match_aspect=True, tools="wheel_zoom,pan,reset"
         )
         self.axes.toolbar.autohide = False
         # An active tool for drags, so that a finger on the figure drags instead of scrolling the page.
@@ -71,6 +84,8 @@ class SceneView:
             (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
             draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
         self._map = [one for one in self.axes.renderers if one is not self._frame]
+        for layer in self._map:
+            layer.glyph.color_mapper.palette = [self.ink(name) for name in ("paper", "unknown", "occupied")]
         self._draw_all()
         status = self._sources["status"] = ColumnDataSource({"html": [""]})
         status.js_on_change("data", CustomJS(args={"status": status}, code=_STATUS))

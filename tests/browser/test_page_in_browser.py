@@ -28,6 +28,8 @@ INTRUDERS = """() => {
     [...node.children].flatMap((one) => [one, ...within(one), ...within(one.shadowRoot ?? none)]);
   return [window.taken ?? 0, within(document).filter((one) => one.matches("img[src=x]")).length];
 }"""
+INK = "one => getComputedStyle(one).color"
+PAPER = "one => getComputedStyle(one).backgroundColor"
 FOCUSED = """() => {
   let one = document.activeElement;
   while (one?.shadowRoot?.activeElement) one = one.shadowRoot.activeElement;
@@ -94,6 +96,12 @@ def ink_at(page, place, colour, reach):
     return sum(count for count, ink in part.getcolors(1 << 20) if max(map(dist, ink, wanted)) <= NEAR)
 
 
+def free_place(page):
+    """A place before the dock of the built-in scene without an obstacle or a path."""
+    x, y = page.robot("dock")
+    return [x - 1.0, y + 1.0]
+
+
 def dist(one, other):
     return abs(one - other)
 
@@ -114,6 +122,9 @@ def test_the_page_opens_without_errors_and_fits(opened, size, scheme):
     variant = int(scheme == "dark")
     assert ink_at(page, page.robot(), PALETTE["start"][variant], 90) > 20
     assert ink_at(page, page.robot("dock"), PALETTE["goal"][variant], 90) > 20
+    assert ink_at(page, free_place(page), PALETTE["paper"][variant], 10) > 100
+    field = page.field("clearance [m]")
+    assert field.evaluate(INK) != field.evaluate(PAPER)
     pictured(page, f"{size}-{scheme}")
     assert page.errors == []
 
