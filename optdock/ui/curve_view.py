@@ -124,8 +124,9 @@ class CurveView:
     def _figure(self, panel: MotionPanel, source: ColumnDataSource) -> tuple[plotting.figure, Span]:
         from bokeh.models import Line, Span
 
-        ranges: dict[str, Any] = {"x_range": (0.0, 1.0), "y_range": panel.axis_range}
-        axes = axes_of("time [s]", panel.label, variant=self._variant, height=150, tools="", **ranges)
+        sizes: dict[str, Any] = {"height": 165, "x_range": (0.0, 1.0), "y_range": panel.axis_range, "tools": ""}
+        axes = axes_of("time [s]", "", variant=self._variant, title=panel.label, **sizes)
+        axes.title.text_font_style, axes.title.text_color = "normal", PALETTE["ink"][self._variant]
         axes.toolbar_location = None
         limit = {"line_color": PALETTE["limit"][self._variant], "line_dash": "dashed", "line_width": 1.5}
         for name in ("upper", "lower"):

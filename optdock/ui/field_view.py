@@ -44,7 +44,8 @@ class FieldView:
         from bokeh.layouts import column
 
         self._on_change = on_change
-        self._is_shown = False  # while the values of a scene are entered, which is no change by the user
+        # Texts of the values that `show` entered, as their callbacks may come after it, and are no changes by the user.
+        self._entered: dict[str, tuple[str, ...]] = {}
         self._widgets = [self._made(field) for field in FIELDS.values()]
         self.groups = {
             name: column(
@@ -57,16 +58,14 @@ class FieldView:
 
     def show(self, scene: EditedScene) -> None:
         """Enter the values of a scene; fields that it does not have are hidden."""
-        self._is_shown = True
-        try:
-            for field, box, text, slider in self._widgets:
-                value = field.read(scene)
-                box.visible = value is not None
-                text.value = field.text(scene)
-                if slider is not None and isinstance(value, int | float) and math.isfinite(value):
-                    slider.update(start=min(slider.start, value), end=max(slider.end, value), value=value, title=None)
-        finally:
-            self._is_shown = False
+        for field, box, text, slider in self._widgets:
+            value, entered = field.read(scene), field.text(scene)
+            self._entered[field.key] = (entered,)
+            if slider is not None and isinstance(value, int | float) and math.isfinite(value):
+                self._entered[field.key] = (entered, repr(float(value)))
+                slider.update(start=min(slider.start, value), end=max(slider.end, value), value=value, title=None)
+            box.visible = value is not None
+            text.value = entered
 
     def _made(self, field: SceneField) -> _Widgets:
         from bokeh.layouts import row
@@ -90,5 +89,6 @@ class FieldView:
         return _Widgets(field, row([text, slider], sizing_mode="stretch_width"), text, slider)
 
     def _changed(self, key: str, text: str, *, moves: bool = False) -> None:
-        if not self._is_shown:
+        if text not in self._entered.get(key, ()):
+            self._entered.pop(key, None)
             self._on_change(key, text, moves)

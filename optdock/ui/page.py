@@ -75,6 +75,7 @@ class PageSession:
         self.shown: DrawnPlan | None = None
         self._number = 0
         self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
+        self._before_slider: EditedScene | None = None  # while a slider moves
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
@@ -127,7 +128,16 @@ class PageSession:
     # Changes of the scene.
 
     def _set_field(self, key: str, text: str, moves: bool) -> None:  # noqa: FBT001 - a callback
-        self.history.edit(functools.partial(with_field, key=key, text=text), in_hand=moves)
+        change = functools.partial(with_field, key=key, text=text)
+        base = self._before_slider
+        if moves:
+            self._before_slider = base or self.history.scene
+            self.history.edit(change, in_hand=True)
+        elif base is not None:
+            self._before_slider = None
+            self.history.drop(base, change)
+        else:
+            self.history.edit(change)
 
     def _changed(self, *, in_hand: bool, fault: str) -> None:
         """Show the scene after a change, and request a plan.

@@ -52,7 +52,7 @@ class PageToolbar:
         self._scenes.on_change("value", lambda _, __, value: self._open(str(value)))
         self._name = TextInput(title="name", value="scene", width=180)
         self._replace = Checkbox(label="replace existing files", active=False)
-        copied = self._button("Copy link", lambda: page.say("The address of this page contains the scene."))
+        copied = self._button("Copy link", self._explain_link)
         copied.js_on_event("button_click", CustomJS(code=_COPY))
         nudge, turn, step = page.history.nudge, page.history.turn, STEP
         moves: dict[str, Callable[[], Any]] = {
@@ -93,6 +93,12 @@ class PageToolbar:
             page.say(f"saved: {', '.join(_written(page, name, overwrite=bool(self._replace.active)))}")
         except OptdockError as error:
             page.say(str(error), is_bad=True)
+
+    def _explain_link(self) -> None:
+        if self.link.text:
+            self._page.say("The address of this page contains the scene.")
+        else:
+            self._page.say("This scene has a map or is too large for a link; save it instead.", is_bad=True)
 
     def _button(self, label: str, call: Callable[[], Any], width: int = 96) -> Button:
         from bokeh.models import Button

@@ -74,6 +74,9 @@ class SceneView:
         if scene.problem.costmap is not None:
             (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
             draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
+        self._map = [one for one in self.axes.renderers if one is not self._frame]
+        for layer in self._map:
+            layer.glyph.color_mapper.palette = [self.ink(name) for name in ("paper", "unknown", "occupied")]
         self._draw_all()
         status = self._sources["status"] = ColumnDataSource({"html": [""]})
         status.js_on_change("data", CustomJS(args={"status": status}, code=_STATUS))
@@ -119,6 +122,8 @@ class SceneView:
             selected: Name of the part that is marked.
         """
         problem = scene.problem
+        for layer in self._map:
+            layer.visible = problem.costmap is not None
         outline = problem.robot.footprint.vertices
         nose = np.array([[0.0, 0.0], [float(outline[:, 0].max()), 0.0]])
         for name, pose in (("start", problem.start), ("dock", problem.goal)):
@@ -182,6 +187,7 @@ class SceneView:
         ink = self.ink
         faint: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.16, "line_color": "fill", "line_alpha": 0.35}
         hot: dict[str, Any] = {"line_color": ink("hot"), "line_width": 2.0}
+        wide = {**hot, "line_width": 6.0}  # visible beside the outline of the docked robot
         self._add("obstacles", "Patches", area, "image", fill_color=ink("obstacle"), line_color=ink("ink"))
         self._add("station", "Patches", area, "image", fill_color=ink("dock"), line_color=ink("dock"))
         closed: dict[str, Any] = {"fill_color": ink("impossible"), "fill_alpha": 0.45, "line_alpha": 0.0}
@@ -196,7 +202,7 @@ class SceneView:
         self._add("detections", "Scatter", line, "underlay", **seen)
         cusp: dict[str, Any] = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
         self._add("cusps", "Scatter", line, "underlay", **cusp)
-        self._add("places", "Patches", area, "underlay", fill_alpha=0.0, line_dash="dashed", **hot)
+        self._add("places", "Patches", area, "underlay", fill_alpha=0.0, line_dash="dashed", **wide)
         self._add("nearest", "MultiLine", area, "underlay", **hot)
         self._veil = BoxAnnotation(fill_color=ink("paper"), fill_alpha=_VEIL, level="underlay", visible=False)
         self.axes.add_layout(self._veil)
