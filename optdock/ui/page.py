@@ -18,6 +18,7 @@ from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
 from optdock.ui.curve_view import CurveView
 from optdock.ui.drawn_plan import DrawnPlan
+from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.field_view import FieldView
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
     from bokeh.document import Document
 
-    from optdock.ui.driven_plan import DrivenPlan
     from optdock.ui.scene_edits import EditedScene
 
 __all__ = ["PageSession", "make_page"]
@@ -148,10 +148,12 @@ class PageSession:
         if not answers:
             return
         with self._one_message():
-            if isinstance(answers[-1], DrawnPlan):
-                self._show_plan(answers[-1])
-            else:
-                self._show_drive(answers[-1])
+            plans = [one for one in answers if isinstance(one, DrawnPlan)]
+            drives = [one for one in answers if isinstance(one, DrivenPlan)]
+            if plans:
+                self._show_plan(plans[-1])
+            if drives:
+                self._show_drive(drives[-1])
 
     def _show_plan(self, drawn: DrawnPlan) -> None:
         if drawn.outcome == "cancelled" and drawn.number < self._number:
@@ -165,21 +167,23 @@ class PageSession:
             self.words.text = answer_html(drawn)
 
     def _show_drive(self, drive: DrivenPlan) -> None:
+        if drive.number < self._number:
+            return  # a newer request replaced it
+        scene = self.history.scene
         self._show_status("")
-        self.view.data.send()
-        if drive.fingerprint != self.history.scene.fingerprint:
-            return
         self.view.show_drive(drive)
-        if self.shown is not None and len(drive.times):
-            self.curves.show_player(drive.times, drive.poses, self.shown.outline)
+        if len(drive.times):
+            self.curves.show_player(drive.times, drive.poses, scene.problem.robot.footprint.vertices)
         self.say(drive_text(drive), is_bad=drive.outcome != "docked")
+        if drive.outcome != "cancelled" and (self.shown is None or self.shown.fingerprint != scene.fingerprint):
+            self._ask(in_hand=False)  # the drive replaced the request for the plan
 
     def _show_status(self, doing: str) -> None:
         self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, doing))
 
     def _fade(self, number: int) -> None:
-        """Fade the answer if it still belongs to another scene than that of a request."""
-        if number == self._number and self.shown is not None:
+        """Fade the answer if it belongs to another scene, and none to this request or a later one has arrived."""
+        if self.shown is not None and self.shown.number < number:
             self.view.fade(faded=self.shown.fingerprint != self.history.scene.fingerprint)
 
     def _compose(self, variant: int) -> None:
@@ -231,7 +235,11 @@ def make_page(document: Document, source: Path | None, folder: Path, arguments: 
     try:
         scene = _first_scene(source, folder, given)
     except OptdockError as error:
-        scene, fault = open_scene(source, folder), str(error)
+        fault = str(error)
+        try:
+            scene = open_scene(source, folder)
+        except OptdockError:  # the file has changed since the program was started
+            scene = open_scene(None, folder)
     page = PageSession(document, scene, folder, int(given["theme"] == "dark"))
     if fault:
         page.say(fault, is_bad=True)

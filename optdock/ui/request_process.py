@@ -152,7 +152,8 @@ class RequestProcess:
             if self._closed:
                 return
             self._closed = True
-            self._worker.alive.close()  # ends the process at once
+            self._worker.alive.close()
+            self._worker.process.kill()  # also while it still loads its libraries
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
             self._thread.join(_END_TIME)

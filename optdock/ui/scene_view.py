@@ -67,9 +67,11 @@ class SceneView:
         for side in (self.axes.x_range, self.axes.y_range):
             side.renderers = [self._frame]
             side.range_padding = 0.0
-        if scene.problem.costmap is not None:
-            (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
-            draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
+        self._costmap = scene.problem.costmap
+        if self._costmap is not None:
+            (x0, y0), (x1, y1) = self._costmap.lower, self._costmap.upper
+            draw_map(self.axes, self._costmap, View(float(x0), float(x1), float(y0), float(y1)))
+        self._map = [one for one in self.axes.renderers if one is not self._frame]
         self._draw_all()
         status = self._sources["status"] = ColumnDataSource({"html": [""]})
         status.js_on_change("data", CustomJS(args={"status": status}, code=_STATUS))
@@ -116,6 +118,8 @@ class SceneView:
             selected: Name of the part that is marked.
         """
         problem = scene.problem
+        for cells in self._map:  # a worked scene has no map
+            cells.visible = problem.costmap is not None
         outline = problem.robot.footprint.vertices
         nose = np.array([[0.0, 0.0], [float(outline[:, 0].max()), 0.0]])
         for name, pose in (("start", problem.start), ("dock", problem.goal)):
