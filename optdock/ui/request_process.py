@@ -180,7 +180,7 @@ class RequestProcess:
                 if self._closed or request is None:
                     break
             self._answers.append(self._answered(request))
-            if self._on_answer is not None:
+            if self._on_answer is not None and not self._closed:
                 try:
                     self._on_answer()
                 except Exception:  # of the page; later answers may be shown

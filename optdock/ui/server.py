@@ -60,7 +60,7 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
 
     application = Application(FunctionHandler(opened))
     try:
-        port = port or _free_port(address)
+        port = _free_port(address, port)
         server = Server(
             {"/": application},
             port=port,
@@ -88,8 +88,9 @@ def _check_address(address: str) -> None:
         )
 
 
-def _free_port(address: str) -> int:
-    with socket.create_server((address, 0)) as listening:
+def _free_port(address: str, port: int) -> int:
+    """Return the port, or any free one for 0; raise OSError if it is in use."""
+    with socket.create_server((address, port)) as listening:
         return int(listening.getsockname()[1])
 
 
