@@ -11,6 +11,7 @@ the process computes again.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import io
@@ -83,6 +84,7 @@ class RequestProcess:
         self._worker = _Worker.start(self._numbers)
         self._thread = threading.Thread(target=self._serve, name="optdock-requests", daemon=True)
         self._thread.start()
+        atexit.register(self.close)  # before multiprocessing ends the process, which would be reported
 
     @property
     def pid(self) -> int | None:
@@ -152,6 +154,7 @@ class RequestProcess:
             if self._closed:
                 return
             self._closed = True
+            atexit.unregister(self.close)
             self._worker.alive.close()
             self._worker.process.kill()  # also while it still loads its libraries
             self._changed.notify_all()

@@ -163,11 +163,12 @@ def test_without_bokeh_the_command_names_the_extra(monkeypatch):
 def test_ctrl_c_ends_the_program_and_its_processes(tmp_path):
     program = "from optdock.cli import main; main()"
     command = [sys.executable, "-c", program, "ui", "--no-browser", "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True) as ui:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, cwd=tmp_path, start_new_session=True, **pipes) as ui:
         url = ui.stdout.readline().split()[0]
         asyncio.run(_opened(url))
         os.killpg(ui.pid, signal.SIGINT)
-        ui.communicate(timeout=60)  # until all processes have closed the pipe
+        assert ui.communicate(timeout=60) == ("", "")  # all processes have closed the pipes
         assert ui.returncode == 0
 
 
