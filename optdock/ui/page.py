@@ -95,14 +95,15 @@ class PageSession:
         self._number += 1
         scene = self.history.scene
         self.process.ask_drive(scene.scenario, self._number, scene.fingerprint)
-        self._show_status("driving")
-        self.view.data.send()
+        with self._one_message():
+            self._show_status("driving")
 
     def show_scene(self) -> None:
         """Draw the scene and the selected part."""
         history = self.history
-        self.view.show(history.scene, history.selected)
-        self.toolbar.show([one.name for one in history.scene.handles()], history.selected)
+        with self._one_message():
+            self.view.show(history.scene, history.selected)
+            self.toolbar.show([one.name for one in history.scene.handles()], history.selected)
 
     # Changes of the scene.
 
@@ -132,11 +133,15 @@ class PageSession:
 
     @contextlib.contextmanager
     def _one_message(self) -> Iterator[None]:
-        """Send all changes within the context as one message."""
+        """Send all changes within the context as one message; a context within another one changes nothing."""
+        if self.document.callbacks.hold_value is not None:
+            yield
+            return
         self.document.hold("combine")
         try:
             yield
         finally:
+            self.view.data.send()  # once, because of several changes of a property only the last one is sent
             self.document.unhold()
 
     def _answered(self) -> None:

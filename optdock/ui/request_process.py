@@ -18,6 +18,7 @@ import io
 import logging
 import multiprocessing
 import pickle
+import signal
 import threading
 import time
 from collections import deque
@@ -36,7 +37,7 @@ from optdock.ui.driven_plan import DrivenPlan, driven_plan
 from optdock.ui.hand_planning import HandPlanning, PlanRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from ctypes import Array, c_int64
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnProcess
@@ -227,7 +228,8 @@ class _Worker(NamedTuple):
         here, there = context.Pipe()
         watched, alive = context.Pipe(duplex=False)
         process = context.Process(target=_work, args=(there, watched, numbers), name="optdock-page", daemon=True)
-        process.start()
+        with _interrupts_blocked():
+            process.start()
         there.close()
         watched.close()
         return cls(process, here, alive, _Sender())
@@ -267,6 +269,19 @@ class _Worker(NamedTuple):
         self.process.kill()
         self.process.join(_END_TIME)
         self.line.close()
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT in processes that are started within the context; the owner ends them after Ctrl-C."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _reason(error: Exception, worker: _Worker) -> str:

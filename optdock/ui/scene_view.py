@@ -42,7 +42,7 @@ def margin_colours(margins: FloatArray) -> list[str]:
 
 
 class SceneView:
-    """Figure in metres with equal scales.
+    """Figure in metres with equal scales; changes are sent by `data.send`, once for every message to the browser.
 
     Args:
         scene: Scene whose map and surroundings are drawn.
@@ -95,7 +95,6 @@ class SceneView:
         )
         if self.view != old or not extends or not self.data.columns["frame"]:
             self.data.put("frame", {name: [value] for name, value in self.view._asdict().items()})
-            self.data.send()
 
     def metres(self, pixels: float) -> float:
         """Return the length of a number of pixels [m]."""
@@ -159,7 +158,6 @@ class SceneView:
         self.data.put("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
         self.data.put("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
         self.data.put("drive", _line(np.zeros((0, 2))))
-        self.data.send()
         self.fade(faded=False)
 
     def show_status(self, html: str) -> None:
@@ -169,7 +167,6 @@ class SceneView:
     def show_drive(self, drive: DrivenPlan) -> None:
         """Draw the way of a simulated drive."""
         self.data.put("drive", _line(drive.poses))
-        self.data.send()
 
     def fade(self, *, faded: bool) -> None:
         """Draw the answer faintly, because it belongs to another scene, or normally."""

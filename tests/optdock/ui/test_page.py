@@ -333,6 +333,30 @@ def test_a_picture_is_faded_during_a_long_drag(worked):
     assert page.view._veil.visible
 
 
+def test_the_browser_receives_every_change_of_the_picture(worked):
+    page = worked()
+    post, received = page.view.data.post, {}
+
+    def receive(event):
+        if getattr(event, "model", None) is post:
+            received.update({name: dict(columns) for name, (columns,) in post.data.items()})
+
+    page.document.on_change(receive)
+    page.view.data.open()
+    page.process.answer(page)
+    start = page.history.scene.problem.start
+    for change in (
+        lambda: drag(page, (start.x, start.y), (start.x - 3.0, start.y)),  # beyond the view
+        lambda: page.process.answer(page),
+        lambda: page.toolbar._selected("dock"),
+        lambda: page.load_worked("no_way"),
+        lambda: page.process.answer(page),
+        page.drive,
+    ):
+        change()
+        assert received == {name: columns for name, columns in page.view.data.columns.items() if columns}
+
+
 def test_texts_of_an_answer_are_not_markup(worked):
     page = worked()
     one = page.process.asked[-1]

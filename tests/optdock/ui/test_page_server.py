@@ -75,7 +75,7 @@ def test_every_page_has_a_session_and_hostile_queries_are_messages(served):
         assert len(sessions(server)) == 1
         for query in ("?scene=%ff%fe%00", "?scene=1.A&scene=2.B&theme=x&theme=dark", "?file=" + "%2e%2e/" * 2000):
             await fetched(server, query)
-            assert sum('role="alert"' in text_of(one) for one in sessions(server)) == len(sessions(server)) - 1
+            assert 'role="alert"' in text_of(sessions(server)[-1])
         assert "<script>x" not in await fetched(server, "?theme=%3Cscript%3Ex")
 
     served(visit)
