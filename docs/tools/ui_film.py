@@ -145,7 +145,9 @@ def main() -> None:
             page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             page.goto(program.stdout.readline().split()[0])
             page.wait_for_function("document.documentElement.dataset.ready === 'yes'")
-            page.add_style_tag(content="header p { display: none; } #figure { height: 26rem; }")
+            page.add_style_tag(
+                content="header p { display: none; } #status { min-height: 5rem; } #figure { height: 25rem; }"
+            )
             page.evaluate(HAND)
             film = Film(page)
             film.settle()

@@ -58,7 +58,7 @@ class SceneView:
         )
         self.axes.toolbar.autohide = False
         # An active tool for drags, so that a finger on the figure drags instead of scrolling the page.
-        tool = BoxSelectTool(description="grab", renderers=[], overlay=BoxAnnotation(visible=False))
+        tool = BoxSelectTool(description="grab", renderers=[], overlay=BoxAnnotation(fill_alpha=0.0, line_alpha=0.0))
         self.axes.add_tools(tool)
         self.axes.toolbar.active_drag = tool
         self.view = view_of(scene.problem, [])

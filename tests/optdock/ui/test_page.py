@@ -342,7 +342,7 @@ def test_the_browser_receives_every_change_of_the_picture(worked):
             received.update({name: dict(columns) for name, (columns,) in post.data.items()})
 
     page.document.on_change(receive)
-    page.view.data.open()
+    page.view.data.connect()
     page.process.answer(page)
     start = page.history.scene.problem.start
     for change in (
