@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from optdock.cli.common import VerboseOption, reported
+
+if TYPE_CHECKING:
+    from tornado.ioloop import IOLoop
 
 __all__ = ["ui"]
 
@@ -40,10 +44,24 @@ def ui(
         server = page_server(None if source is None else source.resolve(), folder, port, address)
         server.start()
         url = f"http://{address}:{server.port}/"
+        if address not in ("localhost", "127.0.0.1"):
+            typer.echo(
+                f"warning: everyone who can reach {address} can use the page and the files of {folder}", err=True
+            )
         typer.echo(f"{url} (Ctrl-C ends it)")
         if browser:
             server.io_loop.add_callback(server.show, "/")
-        try:
-            server.io_loop.start()
-        except KeyboardInterrupt:
-            server.stop()
+        _stop_on_signals(server.io_loop)
+        server.io_loop.start()
+        server.stop()
+
+
+def _stop_on_signals(loop: IOLoop) -> None:
+    """Stop a loop at the first signal; KeyboardInterrupt would be lost in a callback of the garbage collector."""
+
+    def stop(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_DFL)  # a second signal ends a loop that hangs
+        loop.add_callback(loop.stop)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)

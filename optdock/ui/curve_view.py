@@ -97,7 +97,7 @@ class CurveView:
         if is_new:
             self.charts.children = [*self._axes]
             self.holder.tags = [self.data.post]
-            self.data.begin()
+            self.data.connect()
         self.data.send()
         self.show_player(motion.at, motion.poses, outline)
 

@@ -19,6 +19,7 @@ from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
 from optdock.ui.curve_view import CurveView
 from optdock.ui.drawn_plan import DrawnPlan
+from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.field_view import FieldView
 from optdock.ui.floor_view import FloorView
 from optdock.ui.page_texts import answer_html, drive_text, status_html
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 
     from bokeh.document import Document
 
-    from optdock.ui.driven_plan import DrivenPlan
 
 __all__ = ["PageSession", "make_page", "open_source"]
 
@@ -75,7 +75,6 @@ class PageSession:
         self.shown: DrawnPlan | None = None
         self._number = 0
         self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
-        self._before_slider: EditedScene | None = None  # while a slider moves
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
@@ -86,7 +85,7 @@ class PageSession:
         self.message, self.words = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
-        document.on_event(DocumentReady, lambda _: self.view.data.begin())
+        document.on_event(DocumentReady, lambda _: self.view.data.connect())
         self._compose(variant)
         self.process = RequestProcess(self._answered)
         document.on_session_destroyed(lambda _: self.process.close())
@@ -128,16 +127,7 @@ class PageSession:
     # Changes of the scene.
 
     def _set_field(self, key: str, text: str, moves: bool) -> None:  # noqa: FBT001 - a callback
-        change = functools.partial(with_field, key=key, text=text)
-        base = self._before_slider
-        if moves:
-            self._before_slider = base or self.history.scene
-            self.history.edit(change, in_hand=True)
-        elif base is not None:
-            self._before_slider = None
-            self.history.drop(base, change)
-        else:
-            self.history.edit(change)
+        self.history.edit(functools.partial(with_field, key=key, text=text), in_hand=moves)
 
     def _changed(self, *, in_hand: bool, fault: str) -> None:
         """Show the scene after a change, and request a plan.
@@ -166,7 +156,7 @@ class PageSession:
 
     @contextlib.contextmanager
     def _one_message(self, *, sends: bool = True) -> Iterator[None]:
-        """Send all changes within the context as one message.
+        """Send all changes within the context as one message; a context within another one changes nothing.
 
         The layers of the figure are sent once, at the end: Bokeh combines changes of a property by dropping all but the
         last one.
@@ -174,13 +164,16 @@ class PageSession:
         Args:
             sends: Whether the layers of the figure are sent as well.
         """
+        if self.document.callbacks.hold_value is not None:
+            yield
+            return
         self.document.hold("combine")
         try:
             yield
+        finally:
             if sends:
                 self.view.data.send()
                 self._sent_at = time.monotonic()
-        finally:
             self.document.unhold()
 
     def _answered(self) -> None:
@@ -192,10 +185,12 @@ class PageSession:
         if not answers:
             return
         with self._one_message():
-            if isinstance(answers[-1], DrawnPlan):
-                self._show_plan(answers[-1])
-            else:
-                self._show_drive(answers[-1])
+            plans = [one for one in answers if isinstance(one, DrawnPlan)]
+            drives = [one for one in answers if isinstance(one, DrivenPlan)]
+            if plans:
+                self._show_plan(plans[-1])
+            if drives:
+                self._show_drive(drives[-1])
 
     def _show_plan(self, drawn: DrawnPlan) -> None:
         if drawn.outcome == "cancelled" and drawn.number < self._number:
@@ -219,20 +214,23 @@ class PageSession:
         self.say(f"recorded: {recorded.ending}")
 
     def _show_drive(self, drive: DrivenPlan) -> None:
+        if drive.number < self._number:
+            return  # a newer request replaced it
+        scene = self.history.scene
         self._show_status("")
-        if drive.fingerprint != self.history.scene.fingerprint:
-            return
         self.view.show_drive(drive.poses)
-        if self.shown is not None and len(drive.times):
-            self.curves.show_player(drive.times, drive.poses, self.shown.outline)
+        if len(drive.times):
+            self.curves.show_player(drive.times, drive.poses, scene.problem.robot.footprint.vertices)
         self.say(drive_text(drive), is_bad=drive.outcome != "docked")
+        if drive.outcome != "cancelled" and (self.shown is None or self.shown.fingerprint != scene.fingerprint):
+            self._ask(in_hand=False)  # the drive replaced the request for the plan
 
     def _show_status(self, doing: str) -> None:
         self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, doing))
 
     def _fade(self, number: int) -> None:
-        """Fade the answer if it still belongs to another scene than that of a request."""
-        if number == self._number and self.shown is not None:
+        """Fade the answer if it belongs to another scene, and none to this request or a later one has arrived."""
+        if self.shown is not None and self.shown.number < number:
             with self._one_message():
                 self.view.fade(faded=self.shown.fingerprint != self.history.scene.fingerprint)
 
@@ -285,7 +283,11 @@ def make_page(document: Document, source: Path | None, folder: Path, arguments: 
     try:
         opened = _opened(source, folder, given)
     except OptdockError as error:
-        opened, fault = open_source(source, folder), str(error)
+        fault = str(error)
+        try:
+            opened = open_source(source, folder)
+        except OptdockError:  # the file has changed since the program was started
+            opened = open_scene(None, folder)
     scene, recorded = (opened, None) if isinstance(opened, EditedScene) else (opened.scene, opened)
     page = PageSession(document, scene, folder, int(given["theme"] == "dark"), recorded)
     if fault:

@@ -10,6 +10,7 @@ from optdock.ui.scene_history import STEP, TURN
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from bokeh.models import Button
 
@@ -128,14 +129,12 @@ class PageToolbar:
 
 def _written(page: PageSession, name: str, *, overwrite: bool) -> list[str]:
     """Write the files, and return their names."""
-    from optdock.io.atomic_file import write_text
     from optdock.reports.html import plan_chapter, save_report
 
-    files = [*saved(page.history.scene, name, page.folder, overwrite=overwrite)]
-    drawn = page.shown
-    if drawn is not None and drawn.fingerprint == page.history.scene.fingerprint and drawn.outcome != "cancelled":
-        plan, report = (files[0].with_suffix(suffix) for suffix in (".json", ".html"))
-        write_text(plan, drawn.plan_text)
-        save_report(report, plan.stem, [plan_chapter(plan.name, drawn.plan_file, page.history.scene.problem)])
-        files += [plan, report]
-    return [file.name for file in files]
+    drawn, scene = page.shown, page.history.scene
+    beside: dict[str, Callable[[Path], object]] = {}
+    if drawn is not None and drawn.fingerprint == scene.fingerprint and drawn.outcome != "cancelled":
+        text, file, stem = drawn.plan_text, drawn.plan_file, name.removesuffix(".yaml").removesuffix(".yml")
+        beside[".json"] = lambda path: path.write_text(text, encoding="utf-8")
+        beside[".html"] = lambda path: save_report(path, stem, [plan_chapter(f"{stem}.json", file, scene.problem)])
+    return [one.name for one in saved(scene, name, page.folder, overwrite=overwrite, beside=beside)]

@@ -11,15 +11,18 @@ the process computes again.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import io
 import logging
 import multiprocessing
 import pickle
+import signal
 import threading
 import time
 from collections import deque
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -35,7 +38,7 @@ from optdock.ui.driven_plan import DrivenPlan, driven_plan
 from optdock.ui.hand_planning import HandPlanning, PlanRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from ctypes import Array, c_int64
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnProcess
@@ -83,6 +86,7 @@ class RequestProcess:
         self._worker = _Worker.start(self._numbers)
         self._thread = threading.Thread(target=self._serve, name="optdock-requests", daemon=True)
         self._thread.start()
+        atexit.register(self.close)  # before multiprocessing ends the process, which would be reported
 
     @property
     def pid(self) -> int | None:
@@ -152,7 +156,9 @@ class RequestProcess:
             if self._closed:
                 return
             self._closed = True
-            self._worker.alive.close()  # ends the process at once
+            atexit.unregister(self.close)
+            self._worker.alive.close()
+            self._worker.process.kill()  # also while it still loads its libraries
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
             self._thread.join(_END_TIME)
@@ -179,7 +185,7 @@ class RequestProcess:
                 if self._closed or request is None:
                     break
             self._answers.append(self._answered(request))
-            if self._on_answer is not None:
+            if self._on_answer is not None and not self._closed:
                 try:
                     self._on_answer()
                 except Exception:  # of the page; later answers may be shown
@@ -223,7 +229,8 @@ class _Worker(NamedTuple):
         here, there = context.Pipe()
         watched, alive = context.Pipe(duplex=False)
         process = context.Process(target=_work, args=(there, watched, numbers), name="optdock-page", daemon=True)
-        process.start()
+        with _interrupts_blocked():
+            process.start()
         there.close()
         watched.close()
         return cls(process, here, alive, _Sender())
@@ -263,6 +270,20 @@ class _Worker(NamedTuple):
         self.process.kill()
         self.process.join(_END_TIME)
         self.line.close()
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT in processes that are started within the context; the owner ends them after Ctrl-C."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # the first process starts it, which would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _reason(error: Exception, worker: _Worker) -> str:

@@ -92,6 +92,10 @@ class EditedScene:
 
     def handles(self) -> tuple[Handle, ...]:
         """Return the parts, each with a point at which it is grabbed; see `scene_grips.handles_of`."""
+        return self._handles
+
+    @functools.cached_property
+    def _handles(self) -> tuple[Handle, ...]:
         return handles_of(self.problem, self.polygons)
 
     def grip_at(self, x: float, y: float, reach: float) -> Grip | None:

@@ -11,8 +11,9 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,7 @@ from optdock.config import demo_scenario, load_scenario, save_scenario
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.io.atomic_file import replacing
 from optdock.io.guarded_file import is_regular
 from optdock.io.maps import load_map
 from optdock.io.plan_file import load_plan
@@ -34,7 +36,7 @@ from optdock.survey.grid import Box
 from optdock.ui.scene_edits import EditedScene, rounded_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from optdock.config import Scenario
     from optdock.geometry.arrays import BoolArray, FloatArray
@@ -84,17 +86,26 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
     return _scene_of_scenario(file, folder)
 
 
-def saved(scene: EditedScene, name: str, folder: str | Path, *, overwrite: bool = False) -> tuple[Path, ...]:
-    """Write the scenario of a scene into a folder.
+def saved(
+    scene: EditedScene,
+    name: str,
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    beside: Mapping[str, Callable[[Path], object]] = MappingProxyType({}),
+) -> tuple[Path, ...]:
+    """Write the scenario of a scene into a folder, and other files beside it: all of them or none.
 
     Args:
         scene: The scene.
         name: Name of the file; `.yaml` is appended if it is missing.
         folder: The folder.
         overwrite: Whether existing files are replaced.
+        beside: Functions that write the other files into the path that they are given, by the suffixes of these files.
 
     Returns:
-        The files written, the scenario first; if the scene has a map that is not a file of the folder, also the map.
+        The files written, the scenario first; if the scene has a map that is not a file of the folder, also the map;
+        the other files last.
 
     Raises:
         InvalidFile: If a file cannot be written.
@@ -112,11 +123,15 @@ def saved(scene: EditedScene, name: str, folder: str | Path, *, overwrite: bool 
         if scene.problem.costmap is None
         else [target.with_name(f"{target.stem}_map{end}") for end in (".yaml", ".pgm")]
     )
-    for file in (target, *drawn):
+    others = [target.with_suffix(suffix) for suffix in beside]
+    for file in (target, *drawn, *others):
         inside(file, folder)
         if os.path.lexists(file) and not overwrite:
             raise InvalidValue(f"name: {file.name} exists")
-    return save_scenario(target, scene.scenario, obstacles=scene.polygons, map_source=source)
+    with ExitStack() as files:  # replaces the other files after the scenario has been written
+        for other, write in zip(others, beside.values(), strict=True):
+            write(files.enter_context(replacing(other)))
+        return (*save_scenario(target, scene.scenario, obstacles=scene.polygons, map_source=source), *others)
 
 
 def _is_inside(file: str | Path, folder: str | Path) -> bool:

@@ -48,52 +48,47 @@ class SceneHistory:
         self._on_change = on_change
         self._earlier: list[EditedScene] = []
         self._later: list[EditedScene] = []
+        self._base: EditedScene | None = None  # the scene at the beginning of a change that goes on
 
     def edit(self, change: Callable[[EditedScene], EditedScene], *, in_hand: bool = False) -> None:
         """Replace the scene by a changed one; it stays as it is if the change raises an error.
 
         Args:
             change: Function that returns the changed scene.
-            in_hand: Whether the change goes on until `drop`.
+            in_hand: Whether the change goes on, as during a drag. The next edit that does not go on ends it, and all of
+                it is one step of `undo`.
         """
+        fault, changed = "", self.scene
         try:
             changed = change(self.scene)
         except OptdockError as error:
-            self._on_change(in_hand=in_hand, fault=str(error))
-            return
-        if changed is self.scene:
-            return
-        if not in_hand:
-            self._remember(self.scene)
-        self.scene = changed
-        self.select(self.selected)
-        self._on_change(in_hand=in_hand, fault="")
+            fault = str(error)
+        if changed is not self.scene or (self._base is not None and not in_hand):
+            self._replace(changed, in_hand=in_hand)
+        if fault:
+            self.select(self.selected)
+            self._on_change(in_hand=in_hand, fault=fault)
 
-    def drop(self, base: EditedScene, change: Callable[[EditedScene], EditedScene]) -> None:
-        """End a change that went on.
+    def drop(self, change: Callable[[EditedScene], EditedScene]) -> None:
+        """End a change that went on; after an error, its last valid scene stays.
 
         Args:
-            base: The scene at its beginning, which `undo` restores.
-            change: Function that returns the changed scene; after an error, the last valid scene of the change stays.
+            change: Function that returns the changed scene.
         """
-        fault = ""
-        try:
-            self.scene = change(self.scene)
-        except OptdockError as error:
-            fault = str(error)
-        if self.scene is not base:
-            self._remember(base)
-        self._on_change(in_hand=False, fault="")
-        if fault:
-            self._on_change(in_hand=False, fault=fault)
+        self._base = self._base or self.scene
+        self.edit(change)
 
     def undo(self) -> None:
         """Return to the scene before the last change."""
+        if self._base is not None:  # the change that goes on is undone
+            self._remember(self._base)
+            self._base = None
         self._travel(self._earlier, self._later)
 
     def redo(self) -> None:
         """Repeat a change that was undone."""
-        self._travel(self._later, self._earlier)
+        if self._base is None:
+            self._travel(self._later, self._earlier)
 
     def select(self, name: str) -> None:
         """Select a part, or the start if the scene has no such part."""
@@ -108,8 +103,11 @@ class SceneHistory:
         self.edit(lambda scene: scene.turned(scene.grip(self.selected), angle))
 
     def remove(self) -> None:
-        """Remove the selected obstacle."""
+        """Remove the selected obstacle, and select the start, because later obstacles have new names."""
+        before = self.scene
         self.edit(lambda scene: scene.removed(scene.grip(self.selected)))
+        if self.scene is not before:
+            self.select("start")
 
     def add(self, view: View, *, is_wall: bool) -> None:
         """Add a box, or a wall of a quarter of the width of a view, in the middle of the view, and select it."""
@@ -127,6 +125,15 @@ class SceneHistory:
             self.remove()
         elif key == "z":
             self.undo()
+
+    def _replace(self, changed: EditedScene, *, in_hand: bool) -> None:
+        before = self.scene if self._base is None else self._base
+        self._base = before if in_hand else None
+        if not in_hand and changed is not before:
+            self._remember(before)
+        self.scene = changed
+        self.select(self.selected)
+        self._on_change(in_hand=in_hand, fault="")
 
     def _remember(self, scene: EditedScene) -> None:
         self._earlier.append(scene)

@@ -40,6 +40,7 @@ class ScenePointer:
 
         self._document, self._view, self._history, self._on_select = document, view, history, on_select
         self._held: tuple[Grip, EditedScene] | None = None  # the grip, and the scene at the beginning of the drag
+        self._made = history.scene  # by the drag; after any other change of the scene, the part is not held any more
         self._place: tuple[float, float] | None = None  # newest place of the pointer that has not been applied
         for kind, call in (
             (events.PanStart, self._grab), (events.Pan, self._drag), (events.PanEnd, self._release),
@@ -50,11 +51,14 @@ class ScenePointer:
     @property
     def is_dragging(self) -> bool:
         """Whether a part is held."""
-        return self._held is not None
+        return self._held is not None and self._made is self._history.scene
 
     def _grab(self, event: PanStart) -> None:
+        if self.is_dragging:  # the end of the last drag has been lost
+            self._history.drop(lambda scene: scene)
         grip = self._tap(event)
-        self._held = None if grip is None else (grip, self._history.scene)
+        self._made = self._history.scene
+        self._held = None if grip is None else (grip, self._made)
 
     def _drag(self, event: Pan) -> None:
         is_first, self._place = self._place is None, (event.x, event.y)
@@ -64,16 +68,20 @@ class ScenePointer:
     def _follow(self) -> None:
         """Move the held part to the newest place of the pointer."""
         place, self._place = self._place, None
-        if self._held is not None and place is not None:
+        if self._held is not None and place is not None and self.is_dragging:
             grip, base = self._held
-            self._history.edit(lambda _: base.dragged(grip, place), in_hand=True)
+            self._history.edit(lambda _: self._dragged(base, grip, place), in_hand=True)
 
     def _release(self, event: PanEnd) -> None:
         self._place = None
-        if self._held is None:
-            return
-        (grip, base), self._held = self._held, None
-        self._history.drop(base, lambda _: base.dragged(grip, (event.x, event.y)))
+        if self._held is not None and self.is_dragging:
+            grip, base = self._held
+            self._history.drop(lambda _: self._dragged(base, grip, (event.x, event.y)))
+        self._held = None
+
+    def _dragged(self, base: EditedScene, grip: Grip, place: tuple[float, float]) -> EditedScene:
+        self._made = base.dragged(grip, place)
+        return self._made
 
     def _tap(self, event: PanStart | Tap) -> Grip | None:
         """Select and return the part at the pointer."""

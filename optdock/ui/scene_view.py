@@ -41,7 +41,7 @@ def margin_colours(margins: FloatArray) -> list[str]:
 
 
 class SceneView:
-    """Figure in metres with equal scales.
+    """Figure in metres with equal scales; changes are sent by `data.send`, once for every message to the browser.
 
     Args:
         scene: Scene whose map and surroundings are drawn.
@@ -62,7 +62,7 @@ class SceneView:
         )
         self.axes.toolbar.autohide = False
         # An active tool for drags, so that a finger on the figure drags instead of scrolling the page.
-        tool = BoxSelectTool(description="grab", renderers=[], overlay=BoxAnnotation(visible=False))
+        tool = BoxSelectTool(description="grab", renderers=[], overlay=BoxAnnotation(fill_alpha=0.0, line_alpha=0.0))
         self.axes.add_tools(tool)
         self.axes.toolbar.active_drag = tool
         self.view = view_of(scene.problem, [])
@@ -71,9 +71,10 @@ class SceneView:
         for side in (self.axes.x_range, self.axes.y_range):
             side.renderers = [self._frame]
             side.range_padding = 0.0
-        if scene.problem.costmap is not None:
-            (low, high) = (np.array(corner) for corner in (scene.problem.costmap.lower, scene.problem.costmap.upper))
-            draw_map(self.axes, scene.problem.costmap, View(low[0], high[0], low[1], high[1]))
+        costmap = scene.problem.costmap
+        if costmap is not None:
+            (x0, y0), (x1, y1) = costmap.lower, costmap.upper
+            draw_map(self.axes, costmap, View(float(x0), float(x1), float(y0), float(y1)))
         self._map = [one for one in self.axes.renderers if one is not self._frame]
         for layer in self._map:
             layer.glyph.color_mapper.palette = [self.ink(name) for name in ("paper", "unknown", "occupied")]
@@ -122,8 +123,8 @@ class SceneView:
             selected: Name of the part that is marked.
         """
         problem = scene.problem
-        for layer in self._map:
-            layer.visible = problem.costmap is not None
+        for cells in self._map:  # a worked scene has no map
+            cells.visible = problem.costmap is not None
         outline = problem.robot.footprint.vertices
         nose = np.array([[0.0, 0.0], [float(outline[:, 0].max()), 0.0]])
         for name, pose in (("start", problem.start), ("dock", problem.goal)):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue, MissingExtra
+from optdock.io.quoting import shown
 from optdock.ui.page import make_page, open_source
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
 
     Raises:
         InvalidFile: If the file cannot be read.
-        InvalidValue: If the port is in use, or the address does not exist.
+        InvalidValue: If the port is in use, or the address is not one IPv4 address or host name of this machine.
         MissingExtra: If Bokeh is not installed.
     """
     try:
@@ -39,6 +41,7 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
         from bokeh.server.server import Server
     except ImportError as error:
         raise MissingExtra("the page needs Bokeh: pip install 'optdock[ui]'") from error
+    _check_address(address)
     open_source(source, folder)  # so that errors are reported here and not in the browser
     pages: list[Document] = []
 
@@ -46,25 +49,45 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
         if len(pages) >= _MOST_PAGES:
             _refuse(document)
             return
-        pages.append(document)
-        document.on_session_destroyed(lambda _: pages.remove(document))
         request = document.session_context.request if document.session_context is not None else None
         make_page(document, source, folder, dict(request.arguments) if request is not None else {})
+        pages.append(document)
+        document.on_session_destroyed(lambda _: pages.remove(document))
 
     application = Application(FunctionHandler(opened))
     try:
+        port = _free_port(address, port)
         server = Server(
             {"/": application},
             port=port,
             address=address,
-            # Only pages of this server may open a session; None allows localhost with the port that was chosen.
-            allow_websocket_origin=[f"{host}:{port}" for host in ("localhost", "127.0.0.1", address)] if port else None,
+            # Only pages that were opened through this address may open a session.
+            allow_websocket_origin=[f"{host.lower()}:{port}" for host in ("localhost", "127.0.0.1", address)],
             unused_session_lifetime_milliseconds=5_000,
             check_unused_sessions_milliseconds=2_000,
         )
     except OSError as error:
         raise InvalidValue(f"port: cannot listen on {address}:{port}: {error.strerror or error}") from None
     return server
+
+
+def _check_address(address: str) -> None:
+    """Raise InvalidValue for addresses through which no page could be opened."""
+    try:
+        found = socket.gethostbyname(address) if address and ":" not in address else ""
+    except (OSError, UnicodeError):  # the name is unknown
+        found = ""
+    if found in ("", "0.0.0.0"):
+        raise InvalidValue(
+            "address: must be one host name or IPv4 address of this machine, such as 192.168.1.7, "
+            f"got {shown(address)}; a page works only through the address that is given here"
+        )
+
+
+def _free_port(address: str, port: int) -> int:
+    """Return the port, or any free one for 0; raise OSError if it is in use."""
+    with socket.create_server((address, port)) as listening:
+        return int(listening.getsockname()[1])
 
 
 def _refuse(document: Document) -> None:

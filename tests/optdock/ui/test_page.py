@@ -12,9 +12,10 @@ pytest.importorskip("bokeh")
 
 from bokeh.document import Document
 from bokeh.events import Pan, PanEnd, PanStart
+from bokeh.models import Div
 
 import optdock as od
-from optdock.config import load_scenario
+from optdock.config import demo_scenario, load_scenario
 from optdock.errors import InvalidValue, NoMotionExists
 from optdock.runner import Workers
 from optdock.simulation import DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
@@ -23,6 +24,7 @@ from optdock.survey.rounds import CellState
 from optdock.survey.survey import SurveySettings, docks_of, run_survey
 from optdock.ui import page as page_module
 from optdock.ui.drawn_plan import drawn_plan
+from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.page import PageSession, make_page, open_source
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
@@ -226,6 +228,200 @@ def test_a_page_opens_the_scene_of_its_address(monkeypatch, tmp_path):
         make_page(Document(), None, tmp_path, {"file": [hostile]})
         assert 'role="alert"' in opened[-1].message.text
         assert isinstance(opened[-1].history.scene, EditedScene)
+
+
+def test_a_slider_is_one_step_of_undo_and_is_planned_at_its_end(worked):
+    page = worked()
+    before = page.history.scene
+    for text in ("0.3", "0.35", "0.4"):
+        page._set_field("robot.limits.max_speed", text, True)
+    page._set_field("robot.limits.max_speed", "0.4", False)
+    assert [one.in_hand for one in page.process.asked] == [False, True, True, True, False]
+    assert page.toolbar.link.text == to_link(page.history.scene)
+    page.history.undo()
+    assert page.history.scene is before
+
+
+@pytest.mark.parametrize("key", ["z", "ArrowUp", "Delete"])
+def test_a_key_ends_a_drag_and_undo_returns_to_its_beginning(worked, key):
+    page = worked()
+    page.history.nudge(-0.1, 0.0)
+    base, axes = page.history.scene, page.view.axes
+    row = len(base.polygons) - 1
+    at = base.grip(f"obstacles[{row}]")
+    axes._trigger_event(PanStart(axes, x=at.x, y=at.y, sx=0, sy=0))
+    axes._trigger_event(Pan(axes, x=at.x + 0.1, y=at.y, sx=0, sy=0))
+    page.pointer._follow()
+    assert page.pointer.is_dragging
+    page.toolbar._pressed(key)
+    ended = page.history.scene
+    assert not page.pointer.is_dragging
+    axes._trigger_event(Pan(axes, x=at.x + 0.2, y=at.y, sx=0, sy=0))
+    page.pointer._follow()
+    axes._trigger_event(PanEnd(axes, x=at.x + 0.2, y=at.y, sx=0, sy=0))
+    assert page.history.scene is ended
+    assert not page.process.asked[-1].in_hand
+    if key != "z":
+        page.history.undo()
+    assert page.history.scene is base
+    page.history.undo()
+    assert page.history.scene.problem.start.x == pytest.approx(base.problem.start.x + 0.1)
+
+
+def test_a_drag_that_begins_before_the_end_of_another_keeps_both(worked):
+    page = worked()
+    first, axes = page.history.scene, page.view.axes
+    start = first.problem.start
+    axes._trigger_event(PanStart(axes, x=start.x, y=start.y, sx=0, sy=0))
+    axes._trigger_event(Pan(axes, x=start.x + 0.1, y=start.y, sx=0, sy=0))
+    page.pointer._follow()
+    middle = page.history.scene
+    drag(page, (start.x + 0.1, start.y), (start.x + 0.2, start.y))
+    page.history.undo()
+    assert page.history.scene is middle
+    page.history.undo()
+    assert page.history.scene is first
+
+
+def test_a_release_without_a_change_still_requests_the_plan(worked):
+    page = worked()
+    start = page.history.scene.problem.start
+    drag(page, (start.x, start.y), (start.x, start.y))
+    assert [one.in_hand for one in page.process.asked] == [False, False]
+
+
+def test_delete_twice_removes_one_obstacle(worked):
+    page = worked()
+    count = len(page.history.scene.polygons)
+    assert count > 1
+    page.history.select("obstacles[0]")
+    for _ in range(2):
+        page.toolbar._pressed("Delete")
+    assert len(page.history.scene.polygons) == count - 1
+    assert page.history.selected == "start"
+
+
+def driven(page, outcome="docked", *, number=None):
+    """Return the answer to a request for a drive of the present scene."""
+    none, number = np.zeros((0, 3)), page._number if number is None else number
+    return DrivenPlan(number, page.history.scene.fingerprint, outcome, "", (), np.zeros(0), none, none)
+
+
+def test_a_plan_that_a_drive_replaced_is_requested_again(worked):
+    page = worked()
+    page.process.answer(page)
+    page.history.nudge(0.05, 0.0)
+    page.drive()
+    page.process.ready.append(driven(page))
+    page._show_answers()
+    assert page.process.asked[-1].fingerprint == page.history.scene.fingerprint
+    assert len(page.process.asked) == 4
+    page.process.answer(page)
+    assert marks(page)[0] == marks(page)[1]
+
+
+def test_a_plan_and_a_drive_that_arrive_together_are_both_shown(worked):
+    page = worked()
+    one = page.process.asked[-1]
+    page.drive()
+    plan = drawn_plan((one.number, one.fingerprint), one.scenario.problem, one.scenario.plan(5.0))
+    page.process.ready += [plan, driven(page)]
+    page._show_answers()
+    assert page.shown is plan
+    assert "docked" in page.message.text
+    assert len(page.process.asked) == 2
+    page.history.nudge(0.05, 0.0)
+    page.process.ready.append(driven(page, "cancelled", number=2))
+    page._show_answers()
+    assert page.message.text == ""
+    assert 'data-doing="planning"' in status(page)
+
+
+def test_a_picture_is_faded_during_a_long_drag(worked):
+    page = worked()
+    page.process.answer(page)
+    for _ in range(3):
+        page.history.nudge(0.01, 0.0)
+    page._fade(2)
+    assert page.view._veil.visible
+
+
+def test_the_browser_receives_every_change_of_the_picture(worked):
+    page = worked()
+    post, received = page.view.data.post, {}
+
+    def receive(event):
+        if getattr(event, "model", None) is post:
+            received.update({name: dict(columns) for name, (columns,) in post.data.items()})
+
+    page.document.on_change(receive)
+    page.view.data.connect()
+    page.process.answer(page)
+    start = page.history.scene.problem.start
+    for change in (
+        lambda: drag(page, (start.x, start.y), (start.x - 3.0, start.y)),  # beyond the view
+        lambda: page.process.answer(page),
+        lambda: page.toolbar._selected("dock"),
+        lambda: page.load_worked("no_way"),
+        lambda: page.process.answer(page),
+        page.drive,
+    ):
+        change()
+        assert received == {name: columns for name, columns in page.view.data.columns.items() if columns}
+
+
+def test_texts_of_an_answer_are_not_markup(worked):
+    page = worked()
+    one = page.process.asked[-1]
+    hostile = "<img src=x onerror=alert(1)>"
+    page.process.ready.append(drawn_plan((one.number, hostile), one.scenario.problem, InvalidValue(hostile)))
+    page._show_answers()
+    assert "refused" in status(page)
+    assert "<img" not in status(page) + page.words.text
+
+
+def test_a_map_is_hidden_while_the_scene_has_none(monkeypatch):
+    monkeypatch.setattr(page_module, "RequestProcess", Requests)
+    source = demo_scenario()
+    page = PageSession(Document(), open_scene(source, source.parent), source.parent)
+    (cells,) = [one for one in page.view.axes.renderers if type(one.glyph).__name__ == "Image"]
+    assert cells.visible
+    page.load_worked("no_way")
+    assert not cells.visible
+    page.history.undo()
+    assert cells.visible
+
+
+def test_a_page_opens_after_the_first_file_was_removed(monkeypatch, tmp_path):
+    monkeypatch.setattr(page_module, "RequestProcess", Requests)
+    document = Document()
+    make_page(document, tmp_path / "gone.yaml", tmp_path, {})
+    assert any("gone.yaml" in root.text for root in document.roots if isinstance(root, Div))
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".json", ".html"])
+def test_nothing_is_saved_if_one_of_the_files_cannot_be(worked, tmp_path, suffix):
+    folder = tmp_path / "inside"
+    folder.mkdir()
+    page = worked(folder=folder)
+    page.process.answer(page)
+    (folder / f"bay{suffix}").symlink_to(tmp_path / "outside")
+    page.toolbar._name.value = "bay"
+    page.toolbar._replace.active = True
+    page.toolbar.save()
+    assert 'role="alert"' in page.message.text
+    assert [one.name for one in folder.iterdir()] == [f"bay{suffix}"]
+    assert not (tmp_path / "outside").exists()
+    (folder / f"bay{suffix}").unlink()
+    (folder / f"bay{suffix}").write_text("mine")
+    page.toolbar._replace.active = False
+    page.toolbar.save()
+    assert [one.read_text() for one in folder.iterdir()] == ["mine"]
+    (folder / f"bay{suffix}").unlink()
+    (folder / f"bay{suffix}").mkdir()
+    page.toolbar._replace.active = True
+    page.toolbar.save()
+    assert 'role="alert"' in page.message.text
 
 
 def test_colours_of_margins_go_from_red_to_blue():
