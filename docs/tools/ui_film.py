@@ -11,6 +11,7 @@ chromium`.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import itertools
 import math
@@ -53,10 +54,10 @@ HAND = """() => {
   }, true);
 }"""
 # The pallet, and points of the pointer [m]: around the pallet, in front of the robot, and into the gap.
-PALLET = [[-1.5, -1.3], [-0.9, -1.3], [-0.9, -0.6], [-1.5, -0.6]]
-ROUND = ((-2.2, 1.2), (-2.2, 0.2), (-2.25, -0.9), (-2.2, -1.4))
-TURN = 100.0  # degrees
-INTO = ((-1.2, -0.95), (-0.9, -0.2), (0.0, 0.0))
+PALLET = [[-1.2, -1.2], [-0.6, -1.2], [-0.6, -0.5], [-1.2, -0.5]]
+ROUND = ((-2.1, 1.2), (-2.2, 0.6), (-2.2, 0.0), (-2.2, -0.5))
+TURN = 60.0  # degrees
+INTO = ((-0.9, -0.85), (-0.7, -0.3), (0.0, 0.0))
 
 
 def write_scene(folder: Path) -> Path:
@@ -65,7 +66,7 @@ def write_scene(folder: Path) -> Path:
     for row, side in ((4, -0.85), (5, 0.85)):
         content["obstacles"][row] = [[x, side if abs(y) < 1.0 else y] for x, y in content["obstacles"][row]]
     content["obstacles"].append(PALLET)
-    content["start"] = {"pose": [*ROUND[0], -math.pi / 2]}
+    content["start"] = {"pose": [*ROUND[0], 0.0]}
     file = folder / "pallet.yaml"
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
     return file
@@ -88,6 +89,8 @@ class Film:
 
     def drag(self, places: Sequence[tuple[float, float]], steps: int) -> None:
         """Drag through places in metres, with a frame after every step."""
+        from playwright.sync_api import TimeoutError as PlaywrightTimeout
+
         self.page.mouse.move(*self.page.evaluate(PIXEL, places[0]))
         self.page.mouse.down()
         for (x0, y0), (x1, y1) in itertools.pairwise(places):
@@ -95,9 +98,12 @@ class Film:
                 share = step / steps
                 at = (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
                 self.page.mouse.move(*self.page.evaluate(PIXEL, at))
-                self.page.wait_for_timeout(2 * FRAME)
+                self.page.wait_for_timeout(FRAME)
+                with contextlib.suppress(PlaywrightTimeout):  # a slow answer is shown as such
+                    self.page.wait_for_function(SETTLED, timeout=4 * FRAME)
                 self.shoot()
         self.page.mouse.up()
+        self.page.wait_for_timeout(4 * FRAME)  # until the release has been noticed
         self.settle()
         self.shoot(PAUSE)
 
@@ -107,7 +113,7 @@ def act(film: Film) -> Image.Image:
     film.shoot(PAUSE)
     film.drag(ROUND, steps=7)
     x, y = ROUND[-1]
-    angles = [math.radians(-90.0 + TURN * step / 8) for step in range(9)]
+    angles = [math.radians(TURN * step / 8) for step in range(9)]
     ahead = film.page.evaluate(
         "() => { const {x, y} = Bokeh.documents[0].get_model_by_name('grips data').data; return [x[0], y[0]]; }"
     )
@@ -146,7 +152,7 @@ def main() -> None:
             page.goto(program.stdout.readline().split()[0])
             page.wait_for_function("document.documentElement.dataset.ready === 'yes'")
             page.add_style_tag(
-                content="header p { display: none; } #status { min-height: 5rem; } #figure { height: 25rem; }"
+                content="header p { display: none; } #status { height: 5rem; } #figure { height: 24rem; }"
             )
             page.evaluate(HAND)
             film = Film(page)

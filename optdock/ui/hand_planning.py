@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from optdock.config.simulated_drive import WorldDeviations, driven
 from optdock.deadline import garbage_collection_paused
 from optdock.errors import Cancelled, InvalidPath, NoMotionExists, OptdockError
-from optdock.impossibility import check_impossibility
+from optdock.impossibility import ImpossibilityProof, check_impossibility
 from optdock.planning.plan import DockPlan
 from optdock.simulation import beyond_proof
 from optdock.survey.questions import deformed_plan
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from optdock.config import Scenario
     from optdock.impossibility import NoMotionProof
     from optdock.model.path import Path
+    from optdock.model.problem import ProblemFingerprint
     from optdock.ui.drawn_plan import DrawnPlan, Method
     from optdock.ui.driven_plan import DrivenPlan
 
@@ -63,6 +65,7 @@ class HandPlanning:
         self._path: Path | None = None
         self._price = 0.0  # of the motion that was planned last
         self._proof: NoMotionProof | None = None  # of the previous answer
+        self._proven_in: ProblemFingerprint | None = None  # fingerprint of its problem without the start
         self._plan: DockPlan | None = None
         self._planned_for = ""
 
@@ -100,15 +103,25 @@ class HandPlanning:
             self._path, self._price, self._proof = result.path, result.price, None
         elif isinstance(result, NoMotionExists):
             self._proof = cast("NoMotionProof", result.proof)  # checked by `plan_dock`
+            self._proven_in = _world(scenario)
         elif not isinstance(result, Cancelled):
             self._proof = None
         return "planned", result
 
     def _checked_proof(self, scenario: Scenario) -> NoMotionExists | None:
-        """Return the error with the proof of the previous answer, if it also holds for this scenario."""
+        """Return the error with the proof of the previous answer, if it also holds for this scenario.
+
+        The bottleneck of the proof is left out if anything but the start has changed, because it may have another width
+        or place.
+        """
         proof = self._proof
-        if proof is None or not check_impossibility(proof, scenario.problem):
+        # That the straight into the dock is blocked is found anew in milliseconds, with the present clearance.
+        if not isinstance(proof, ImpossibilityProof) or not check_impossibility(proof, scenario.problem):
             return None
+        world = _world(scenario)
+        if world != self._proven_in:
+            self._proof = proof = replace(proof, bottleneck=None)
+            self._proven_in = world
         return NoMotionExists(proof.message, proof=proof, where=proof.where)
 
     def _deformed(self, scenario: Scenario, is_cancelled: Callable[[], bool]) -> DockPlan | None:
@@ -148,3 +161,7 @@ def _planned(scenario: Scenario, is_cancelled: Callable[[], bool]) -> DockPlan |
         return scenario.plan(cancel_checker=is_cancelled)
     except OptdockError as error:
         return error
+
+
+def _world(scenario: Scenario) -> ProblemFingerprint:
+    return scenario.problem.fingerprint._replace(start="")

@@ -74,14 +74,33 @@ def test_the_plan_at_rest_does_not_depend_on_the_way_of_the_hand():
     assert in_hand.path.digest != fresh.path.digest
 
 
+BOX = [
+    [(-1.2, 3.0), (4.2, 3.0), (4.2, 3.2), (-1.2, 3.2)],
+    [(-1.2, -3.2), (4.2, -3.2), (4.2, -3.0), (-1.2, -3.0)],
+    [(-1.2, -3.2), (-1.0, -3.2), (-1.0, 3.2), (-1.2, 3.2)],
+    [(4.0, -3.2), (4.2, -3.2), (4.2, 3.2), (4.0, 3.2)],
+]
+
+
+def test_a_kept_proof_has_no_bottleneck_of_another_world():
+    """Its width and place are those of the obstacles for which it was made."""
+
+    def proof(gap, x=0.0):
+        walls = [[(0.8, -3), (0.9, -3), (0.9, -gap), (0.8, -gap)], [(0.8, gap), (0.9, gap), (0.9, 3), (0.8, 3)]]
+        method, error = planning.planned(scenario_at(x, obstacles=walls + BOX), never, in_hand=True)
+        return method, error.proof.bottleneck
+
+    planning = HandPlanning()
+    assert proof(0.1)[1] is not None
+    method, bottleneck = proof(0.1, 0.05)
+    assert method == "proven"
+    assert bottleneck is not None
+    for gap in (0.08, 0.06):
+        assert proof(gap) == ("proven", None)
+
+
 def test_a_proof_is_kept_while_it_holds():
-    wall = [[(0.8, -3.0), (0.9, -3.0), (0.9, 3.0), (0.8, 3.0)]]
-    box = [
-        [(-1.2, 3.0), (4.2, 3.0), (4.2, 3.2), (-1.2, 3.2)],
-        [(-1.2, -3.2), (4.2, -3.2), (4.2, -3.0), (-1.2, -3.0)],
-        [(-1.2, -3.2), (-1.0, -3.2), (-1.0, 3.2), (-1.2, 3.2)],
-        [(4.0, -3.2), (4.2, -3.2), (4.2, 3.2), (4.0, 3.2)],
-    ]
+    wall, box = [[(0.8, -3.0), (0.9, -3.0), (0.9, 3.0), (0.8, 3.0)]], BOX
     planning = HandPlanning()
     kept = [planning.planned(scenario_at(0.05 * k, obstacles=wall + box), never, in_hand=True) for k in range(3)]
     assert [method for method, _ in kept] == ["planned", "proven", "proven"]
