@@ -44,7 +44,7 @@ class DataPost:
         self.post = ColumnDataSource()
         self.post.js_on_change("data", CustomJS(args={"post": self.post, "sources": self._sources}, code=_DISTRIBUTE))
 
-    def open(self) -> None:
+    def begin(self) -> None:
         """Send changes as messages from now on, and everything at once, as changes before may not have arrived."""
         self._is_ready = True
         self._waiting = {name: [[*map(list, columns.items())]] for name, columns in self.columns.items() if columns}

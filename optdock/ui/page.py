@@ -73,7 +73,7 @@ class PageSession:
         self.pointer = ScenePointer(document, self.view, self.history, self.show_scene)
         self.message, self.words = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
         self.data = Div(visible=False, tags=[self.view.data.post])
-        document.on_event(DocumentReady, lambda _: self.view.data.open())
+        document.on_event(DocumentReady, lambda _: self.view.data.begin())
         self._compose(variant)
         self.process = RequestProcess(self._answered)
         document.on_session_destroyed(lambda _: self.process.close())
