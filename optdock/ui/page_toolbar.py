@@ -101,7 +101,7 @@ class PageToolbar:
         else:
             self._page.say("This scene has a map or is too large for a link; save it instead.", is_bad=True)
 
-    def _button(self, label: str, call: Callable[[], Any], width: int = 96) -> Button:
+    def _button(self, label: str, call: Callable[[], Any], width: int = 92) -> Button:
         from bokeh.models import Button
 
         button = Button(label=label, width=width)

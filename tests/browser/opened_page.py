@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE = 20.0  # [s]: longest wait for a state, on a busy machine
+PATIENCE = 120.0  # [s]: longest wait for a state, on a busy machine
 _PROGRAM = "from optdock.cli import main; main()"
 # Notes the state at each paint of the figure: fingerprints of the scene and of the answer, their starts and the time.
 _RECORD = """() => {
