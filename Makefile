@@ -25,7 +25,7 @@ help:
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make docs         the documentation and its tests: every snippet runs, warnings are errors; open site/index.html"
 	@echo "make test-experiments  the tests of benchmarks, studies and the fuzzer"
-	@echo "make test-ui      the page of optdock ui in Chromium, pictures in results/ui/; skipped without Chromium"
+	@echo "make test-ui      the page of optdock ui in Chromium, pictures in results/ui/: five minutes; skipped without Chromium"
 	@echo "make report-check  a report opened in Chromium, pictures in results/report/; needs Chromium, ARGS='FILE.html' checks that file"
 	@echo "make figures      the measured tables of the documentation against what their commands print now: hours;"
 	@echo "                  ARGS='contact' those of commands with that word in them, ARGS='contact --write' puts new figures in"
@@ -86,7 +86,7 @@ docs: $(STAMP)
 
 test-ui: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
-	$(BIN)/python -m pytest -q -rs tests/browser
+	$(BIN)/python -m pytest -q -rs tests/browser $(ARGS)
 
 report-check: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
