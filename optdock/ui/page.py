@@ -140,7 +140,9 @@ class PageSession:
             if not fault:
                 self._ask(in_hand=in_hand)
             self._draw_scene()
-            if not in_hand:
+            if in_hand:
+                self.view.show_ghost(visible=False)  # it stands on the path of an earlier scene
+            else:
                 self.fields.show(self.history.scene)
                 self.toolbar.link.text = _link_to(self.history.scene)
 
@@ -201,6 +203,7 @@ class PageSession:
         if not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
             self.curves.show(drawn.motion, drawn.outline)
+            self.view.show_ghost(visible=True)
             self.words.text = answer_html(drawn)
             self._show_recorded(drawn)
 

@@ -176,6 +176,10 @@ class SceneView:
         if detections is not None:
             self.data.put("detections", _line(detections))
 
+    def show_ghost(self, *, visible: bool) -> None:
+        """Show or hide the robot that the player moves."""
+        self._ghost.visible = visible
+
     def fade(self, *, faded: bool) -> None:
         """Draw the answer faintly, because it belongs to another scene, or normally."""
         self._veil.visible = faded
@@ -211,7 +215,7 @@ class SceneView:
             edge: dict[str, Any] = {"line_color": ink(colour), "line_width": 2.0}
             self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
             self._add(f"{name} nose", "MultiLine", area, **edge)
-        self._add(GHOST, "Patch", line, fill_color=ink("robot"), fill_alpha=0.6, line_color=ink("ink"))
+        self._ghost = self._add(GHOST, "Patch", line, fill_color=ink("robot"), fill_alpha=0.6, line_color=ink("ink"))
         disc: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
 

@@ -105,6 +105,10 @@ def test_a_drag_moves_the_robot_and_asks_in_the_hand_until_the_release(worked):
     assert page.history.scene.problem.start.x == pytest.approx(start.x + 0.2)
     assert page.history.scene.problem.start.y == pytest.approx(start.y + 0.1)
     assert [one.in_hand for one in page.process.asked] == [False, True, True, False]
+    ghost = next(one for one in page.view.axes.renderers if one.name == "ghost")
+    assert not ghost.visible
+    page.process.answer(page)
+    assert ghost.visible
     assert page.process.asked[-1].fingerprint == page.history.scene.fingerprint
     page.history.undo()
     assert page.history.scene.problem.start == start
