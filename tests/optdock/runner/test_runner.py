@@ -199,6 +199,7 @@ def test_a_killed_dask_worker_loses_nothing(cluster):
             found.append(one)
             if len(found) == 10:
                 worker.kill()
+    assert [one.error for one in found if one.error] == []
     assert [one.value[0] for one in found] == list(range(60))
 
 
