@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from bokeh.models import Button
 
-    from optdock.ui.page import PageSession
+    from optdock.ui.page_session import PageSession
 
 __all__ = ["PageToolbar"]
 

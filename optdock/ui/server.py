@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.io.quoting import shown
-from optdock.ui.page import make_page, open_source
+from optdock.ui.page_session import make_page, open_source
 
 if TYPE_CHECKING:
     from pathlib import Path

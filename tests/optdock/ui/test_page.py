@@ -22,10 +22,10 @@ from optdock.simulation import DifferentialDrive, DockSensor, PoseSensor, Sensor
 from optdock.survey.dock_places import DockPlace
 from optdock.survey.rounds import CellState
 from optdock.survey.survey import SurveySettings, docks_of, run_survey
-from optdock.ui import page as page_module
+from optdock.ui import page_session as page_module
 from optdock.ui.drawn_plan import drawn_plan
 from optdock.ui.driven_plan import DrivenPlan
-from optdock.ui.page import PageSession, make_page, open_source
+from optdock.ui.page_session import PageSession, make_page, open_source
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from optdock.cli import app
 from optdock.errors import InvalidValue
-from optdock.ui import page as page_module
+from optdock.ui import page_session as page_module
 from optdock.ui import server as server_module
 from optdock.ui.server import page_server
 
