@@ -139,9 +139,9 @@ class Workers:
             assert self._executor is not None
             try:
                 return self._executor.submit(_computed, how, given, case)
-            except BrokenProcessPool as error:
+            except (BrokenProcessPool, OSError) as error:  # OSError: the pool breaks while it starts a process
                 lost: Future[Outcome] = Future()
-                lost.set_exception(error)
+                lost.set_exception(BrokenProcessPool(str(error)))
                 return lost
 
         return submit

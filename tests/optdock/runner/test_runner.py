@@ -190,6 +190,20 @@ def test_a_case_that_kills_its_worker_twice_is_an_error(pair, tmp_path, often, e
     assert [one.value for one in found if one.key != "case 2"] == [0, 1, *range(3, 12)]
 
 
+def test_a_pool_that_breaks_while_it_starts_a_process_is_replaced(pair, monkeypatch):
+    submit, raised = pair._executor.submit, []
+
+    def breaking(*arguments):
+        if not raised:
+            raised.append(True)
+            raise OSError("handle is closed")
+        return submit(*arguments)
+
+    monkeypatch.setattr(pair._executor, "submit", breaking)
+    found = list(run_cases(functions.squared, cases(5), workers=pair))
+    assert [one.value["square"] for one in found] == [0, 1, 4, 9, 16]
+
+
 def test_a_killed_dask_worker_loses_nothing(cluster):
     (worker,) = cluster.add_workers(1)
     with cluster.workers() as workers:
