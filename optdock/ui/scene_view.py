@@ -49,7 +49,7 @@ class SceneView:
     """
 
     def __init__(self, scene: EditedScene, variant: int) -> None:
-        from bokeh.models import BoxAnnotation, BoxSelectTool, ColumnDataSource, CustomJS
+        from bokeh.models import ColumnDataSource, CustomJS, PointDrawTool
 
         self._variant = variant
         self.axes = axes_of(
@@ -61,10 +61,13 @@ class SceneView:
             variant=variant,
         )
         self.axes.toolbar.autohide = False
-        # An active tool for drags, so that a finger on the figure drags instead of scrolling the page.
-        tool = BoxSelectTool(description="grab", renderers=[], overlay=BoxAnnotation(fill_alpha=0.0, line_alpha=0.0))
+        # An active tool for drags, so that a finger on the figure drags instead of scrolling the page. Without layers
+        # it changes nothing, while a tool that draws a box costs a paint and a message for every move.
+        tool = PointDrawTool(description="grab", renderers=[], add=False)
         self.axes.add_tools(tool)
         self.axes.toolbar.active_drag = tool
+        # On a canvas of their own, which a change of the layers does not paint again.
+        self.axes.axis.level = self.axes.grid.level = "overlay"
         self.view = view_of(scene.problem, [])
         self._sources: dict[str, ColumnDataSource] = {}
         self._frame = self._add("frame", "Quad", ("left", "right", "bottom", "top"), fill_alpha=0.0, line_alpha=0.0)
@@ -236,7 +239,9 @@ class SceneView:
         return renderer
 
 
-def _shapes(polygons: Iterable[FloatArray]) -> dict[str, list[FloatArray]]:
+def _shapes(polygons: FloatArray | Iterable[FloatArray]) -> dict[str, FloatArray | list[FloatArray]]:
+    if isinstance(polygons, np.ndarray):  # equal numbers of corners
+        return {"xs": polygons[:, :, 0], "ys": polygons[:, :, 1]}
     shapes = [*polygons]
     return {"xs": [shape[:, 0] for shape in shapes], "ys": [shape[:, 1] for shape in shapes]}
 

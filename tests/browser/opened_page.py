@@ -13,9 +13,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 120.0  # [s]: longest wait for a state, on a busy machine
 _PROGRAM = "from optdock.cli import main; main()"
-# Notes the state at each paint of the figure: fingerprints of the scene and of the answer, their starts and the time.
+# Notes the state at each paint of the figure: fingerprints of the scene and of the answer, their layers and the time.
 _RECORD = """() => {
-  const of = (name) => Bokeh.documents[0].get_model_by_name(name).data;
+  const of = (name) => Bokeh.documents[0].get_model_by_name(`${name} data`).data;
+  const shapes = ({xs, ys}) => xs.map((x, i) => Array.from(x, (_, k) => [x[k], ys[i][k]]));
   const view = Object.values(Bokeh.index).find((one) => one.model.name === "scene");
   window.recorded = {paints: [], moves: []};
   window.addEventListener("pointermove", (event) => {
@@ -23,15 +24,18 @@ _RECORD = """() => {
   }, true);
   const paint = view.paint.bind(view);
   view.paint = (...given) => {
-    const done = paint(...given), status = document.querySelector("#status p"), nose = of("start nose data");
-    const [forward, reverse] = [of("forward data"), of("reverse data")];
-    let first = null;
-    for (let i = 0; i < forward.x.length && first === null; i++) {
+    const done = paint(...given), status = document.querySelector("#status p");
+    const [forward, reverse] = [of("forward"), of("reverse")], path = [];
+    for (let i = 0; i < forward.x.length; i++) {
       const line = Number.isNaN(forward.x[i] ?? NaN) ? reverse : forward;
-      if (!Number.isNaN(line.x[i] ?? NaN)) first = [line.x[i], line.y[i]];
+      if (!Number.isNaN(line.x[i] ?? NaN)) path.push([line.x[i], line.y[i]]);
     }
-    const robot = [nose.xs[0][0], nose.ys[0][0]];
-    const one = {scene: status.dataset.scene, shown: status.dataset.shown, robot, first};
+    const [robot, dock] = [shapes(of("start nose"))[0][0], shapes(of("dock nose"))[0][0]];
+    const one = {
+      scene: status.dataset.scene, shown: status.dataset.shown, outcome: status.classList[0], robot, dock,
+      obstacles: shapes(of("obstacles")), first: path[0] ?? null, last: path[path.length - 1] ?? null,
+      swept: shapes(of("swept")), places: shapes(of("places")),
+    };
     requestAnimationFrame(() => recorded.paints.push({...one, at: performance.now()}));
     return done;
   };
@@ -77,13 +81,14 @@ class Program:
     Args:
         folder: Folder of its files; the log is written beside it.
         source: Arguments of the command.
+        prepared: Statements that are executed first.
     """
 
-    def __init__(self, folder, *source):
+    def __init__(self, folder, *source, prepared=""):
         self.folder = Path(folder)
         self.log = self.folder.with_name(f"{self.folder.name}.log")
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-        command = [sys.executable, "-c", _PROGRAM, "ui", "--no-browser", "--port", "0", *source]
+        command = [sys.executable, "-c", prepared + _PROGRAM, "ui", "--no-browser", "--port", "0", *source]
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
         self.url = self._address()
