@@ -67,7 +67,8 @@ class SceneView:
         self.axes.add_tools(tool)
         self.axes.toolbar.active_drag = tool
         # On a canvas of their own, which a change of the layers does not paint again.
-        self.axes.axis.level = self.axes.grid.level = "overlay"
+        self.axes.axis.level = "overlay"
+        self.axes.min_border_left = 60  # [px]; the figure does not move when the labels get wider
         self.view = view_of(scene.problem, [])
         self._sources: dict[str, ColumnDataSource] = {}
         self._frame = self._add("frame", "Quad", ("left", "right", "bottom", "top"), fill_alpha=0.0, line_alpha=0.0)
