@@ -66,8 +66,7 @@ class CurveView:
         from bokeh.models import ColumnDataSource, CustomJS, Div, Slider, Toggle
 
         self._variant = variant
-        self._labels: tuple[str, ...] = ()
-        self._axes: list[plotting.figure] = []
+        self._charts: dict[str, tuple[plotting.figure, ColumnDataSource, Span]] = {}
         self.data = DataPost({})
         self.holder = Div(visible=False, tags=[self.data.post])  # data without a figure are in no document otherwise
         self.charts = column([Div(text="")], sizing_mode="stretch_width")
@@ -83,23 +82,21 @@ class CurveView:
 
     def show(self, motion: ShownMotion | None, outline: FloatArray) -> None:
         """Show the curves of a motion, and put the player at its beginning."""
-        if motion is None:
-            for row in range(len(self._axes)):
-                self.data.put(str(row), dict.fromkeys(_COLUMNS, ()))
-            self.data.send()
-            self.show_player(np.zeros(0), np.zeros((0, 3)), outline)
-            return
-        is_new = tuple(panel.label for panel in motion.panels) != self._labels
+        panels = {} if motion is None else {panel.label: panel for panel in motion.panels}
+        is_new = not panels.keys() <= self._charts.keys()
         if is_new:
-            self._make_figures(motion.panels)
-        for row, panel in enumerate(motion.panels):
-            self._show_panel(motion, panel, row)
+            self._add_charts([panel for panel in panels.values() if panel.label not in self._charts])
+        for label, (axes, _, _) in self._charts.items():
+            axes.visible = label in panels
+            if motion is not None and label in panels:
+                self._show_panel(motion, panels[label])
         if is_new:
-            self.charts.children = [*self._axes]
-            self.holder.tags = [self.data.post]
             self.data.connect()
         self.data.send()
-        self.show_player(motion.at, motion.poses, outline)
+        if motion is None:
+            self.show_player(np.zeros(0), np.zeros((0, 3)), outline)
+        else:
+            self.show_player(motion.at, motion.poses, outline)
 
     def show_player(
         self, at: FloatArray, poses: FloatArray, outline: FloatArray, words: Sequence[str] | None = None
@@ -111,19 +108,19 @@ class CurveView:
         shown = [""] * len(at) if words is None else [*words]
         self._motion.data = {"at": at, "x": poses[:, 0], "y": poses[:, 1], "yaw": poses[:, 2], "words": shown}
 
-    def _make_figures(self, panels: Sequence[MotionPanel]) -> None:
-        from bokeh.models import ColumnDataSource
+    def _add_charts(self, panels: Sequence[MotionPanel]) -> None:
+        """Add figures, which stay in the document: Bokeh does not release removed ones in the browser."""
+        self._charts |= {panel.label: self._chart(panel) for panel in panels}
+        self._move.args = {**self._move.args, "cursors": [cursor for _, _, cursor in self._charts.values()]}
+        self.data = DataPost({label: source for label, (_, source, _) in self._charts.items()})
+        self.charts.children = [axes for axes, _, _ in self._charts.values()]
+        self.holder.tags = [self.data.post]
 
-        self._labels = tuple(panel.label for panel in panels)
-        sources = [ColumnDataSource({name: [] for name in _COLUMNS}) for _ in panels]
-        made = [self._figure(panel, source) for panel, source in zip(panels, sources, strict=True)]
-        self._axes = [axes for axes, _ in made]
-        self._move.args = {**self._move.args, "cursors": [cursor for _, cursor in made]}
-        self.data = DataPost({str(row): source for row, source in enumerate(sources)})
+    def _chart(self, panel: MotionPanel) -> tuple[plotting.figure, ColumnDataSource, Span]:
+        """Return an empty figure, its data and its cursor."""
+        from bokeh.models import ColumnDataSource, Line, Span
 
-    def _figure(self, panel: MotionPanel, source: ColumnDataSource) -> tuple[plotting.figure, Span]:
-        from bokeh.models import Line, Span
-
+        source = ColumnDataSource({name: [] for name in _COLUMNS})
         sizes: dict[str, Any] = {"height": 165, "x_range": (0.0, 1.0), "y_range": panel.axis_range, "tools": ""}
         axes = axes_of("time [s]", "", variant=self._variant, title=panel.label, **sizes)
         axes.title.text_font_style, axes.title.text_color = "normal", PALETTE["ink"][self._variant]
@@ -135,13 +132,13 @@ class CurveView:
         ink = PALETTE["ink"][self._variant]
         cursor = Span(location=0.0, dimension="height", line_color=ink, line_width=1.0)
         axes.add_layout(cursor)
-        return axes, cursor
+        return axes, source, cursor
 
-    def _show_panel(self, motion: ShownMotion, panel: MotionPanel, row: int) -> None:
-        axes = self._axes[row]
+    def _show_panel(self, motion: ShownMotion, panel: MotionPanel) -> None:
+        axes, _, _ = self._charts[panel.label]
         axes.xaxis.axis_label = motion.label
         axes.x_range.update(start=float(motion.panels_at[0]), end=float(motion.panels_at[-1]))
         axes.y_range.update(**dict(zip(("start", "end"), map(float, panel.axis_range), strict=True)))
         upper, lower = (np.where(np.isfinite(bound), bound, np.nan) for bound in (panel.upper, panel.lower))
         columns = {"at": motion.panels_at, "value": panel.values, "upper": upper, "lower": lower}
-        self.data.put(str(row), columns)
+        self.data.put(panel.label, columns)

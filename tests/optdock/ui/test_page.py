@@ -164,10 +164,25 @@ def test_no_way_is_shown_as_the_closed_region(worked):
     assert page.curves.slider.disabled
     page.load_worked("reverse_bay")
     page.process.answer(page)
-    assert len(page.curves.data.columns["0"]["value"]) > 100
+    assert len(page.curves.data.columns["speed [m/s]"]["value"]) > 100
+    assert all(chart.visible for chart in page.curves.charts.children)
     page.load_worked("no_way")
     page.process.answer(page)
-    assert page.curves.data.columns["0"]["value"] == []
+    assert not any(chart.visible for chart in page.curves.charts.children)
+
+
+def test_figures_of_curves_stay_in_the_document(worked):
+    """A browser does not release the models of figures that were removed."""
+    page = worked("forklift")
+    shown = []
+    for stem in ("forklift", "reverse_bay", "forklift", "reverse_bay"):
+        page.load_worked(stem)
+        page.process.answer(page)
+        charts = page.curves.charts.children
+        shown.append([(chart.id, chart.title.text) for chart in charts if chart.visible])
+    assert shown[0] != shown[1]
+    assert shown[:2] == shown[2:]
+    assert {one for some in shown for one in some} == {(chart.id, chart.title.text) for chart in charts}
 
 
 def test_a_wrong_field_is_a_message_and_the_scene_stays(worked):
