@@ -28,9 +28,10 @@ from optdock.ui.recorded_docking import RecordedDocking, recorded_docking
 from optdock.ui.request_process import RequestProcess
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_fields import with_field
-from optdock.ui.scene_files import inside, open_scene, worked_scenes
+from optdock.ui.scene_files import answer_files, open_scene, saved, worked_scenes
 from optdock.ui.scene_history import SceneHistory
 from optdock.ui.scene_links import from_link, to_link
+from optdock.ui.scene_maps import inside
 from optdock.ui.scene_pointer import ScenePointer
 from optdock.ui.scene_view import GHOST, SceneView
 from optdock.ui.surveyed_floor import SurveyedFloor, surveyed_floor
@@ -80,9 +81,15 @@ class PageSession:
         self.view = SceneView(scene, variant)
         self.curves = CurveView(self.view.source(GHOST), variant)
         self.fields = FieldView(self._set_field)
-        self.toolbar = PageToolbar(self)
+        calls = {
+            "Add box": lambda: self.history.add(self.view.view, is_wall=False),
+            "Add wall": lambda: self.history.add(self.view.view, is_wall=True),
+            "Cancel": self._cancel, "Drive": self.drive, "Save": self.save,
+            "Copy link": self._explain_link,
+        }  # fmt: skip
+        self.toolbar = PageToolbar(self.history, calls, self.show_scene, self.load_worked)
         self.pointer = ScenePointer(document, self.view, self.history, self.show_scene)
-        self.message, self.words = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
+        self.message, self.words, self.unlinked = (Div(text="", sizing_mode="stretch_width") for _ in range(3))
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
         document.on_event(DocumentReady, lambda _: self.view.data.connect())
@@ -102,6 +109,35 @@ class PageSession:
             if path.stem == stem:
                 self._load(open_scene(path.name, path.parent))
 
+    def save(self) -> None:
+        """Write scenario, plan file and report of the scene into the folder of the page."""
+        name, drawn, scene = self.toolbar.file_name, self.shown, self.history.scene
+        is_answered = drawn is not None and drawn.fingerprint == scene.fingerprint and drawn.outcome != "cancelled"
+        try:
+            beside = answer_files(drawn, scene, name) if drawn is not None and is_answered else {}
+            files = saved(scene, name, self.folder, overwrite=self.toolbar.is_replacing, beside=beside)
+            self.say(f"saved: {', '.join(file.name for file in files)}")
+        except OptdockError as error:
+            self.say(str(error), is_bad=True)
+
+    def _show_link(self) -> None:
+        """Let the address of the page contain the scene, or show the reason why it cannot."""
+        link, reason = "", ""
+        try:
+            link = to_link(self.history.scene, self.folder)
+        except InvalidValue as error:
+            reason = f"{error}; save the scenario: a reload or a lost connection loses changes that are not saved"
+        self.toolbar.link.text = link
+        self.unlinked.text = f'<p role="note" class="unlinked">{escape(reason)}</p>' if reason else ""
+
+    def _explain_link(self) -> None:
+        with_map = self.history.scene.problem.costmap is not None
+        words = ", without its map; it opens in the same folder" if with_map else ""
+        if self.toolbar.link.text:
+            self.say(f"The address of this page contains the scene{words}.")
+        else:
+            self.say("This scene has no link; save it instead.", is_bad=True)
+
     def _load(self, scene: EditedScene) -> None:
         self.view.look_at(view_of(scene.problem, []), extends=False)
         self.history.edit(lambda _: scene)
@@ -113,6 +149,9 @@ class PageSession:
         self.process.ask_drive(scene.scenario, self._number, scene.fingerprint)
         with self._one_message():
             self._show_status("driving")
+
+    def _cancel(self) -> None:
+        self.process.cancel()
 
     def show_scene(self) -> None:
         """Draw the scene and the selected part."""
@@ -144,7 +183,7 @@ class PageSession:
                 self.view.show_ghost(visible=False)  # it stands on the path of an earlier scene
             else:
                 self.fields.show(self.history.scene)
-                self.toolbar.link.text = _link_to(self.history.scene)
+                self._show_link()
 
     def _ask(self, *, in_hand: bool) -> None:
         scene = self.history.scene
@@ -245,7 +284,8 @@ class PageSession:
         roots: dict[str, Any] = {
             "scene": self.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
             "floor": self.floor.box, "data": self.data, "curve_data": curves.holder, "message": self.message,
-            "words": self.words, **self.toolbar.roots, **{f"fields_{name}": group for name, group in groups.items()},
+            "words": self.words, "unlinked": self.unlinked, **self.toolbar.roots,
+            **{f"fields_{name}": group for name, group in groups.items()},
         }  # fmt: skip
         for name, root in roots.items():
             root.name = name
@@ -262,13 +302,6 @@ class PageSession:
             dark=bool(variant),
         )
         self.document.title = "optdock"
-
-
-def _link_to(scene: EditedScene) -> str:
-    try:
-        return to_link(scene)
-    except InvalidValue:  # a map, or a scene that is too large
-        return ""
 
 
 def make_page(document: Document, source: Path | None, folder: Path, arguments: Mapping[str, list[bytes]]) -> None:
@@ -315,7 +348,7 @@ def _opened(
     source: Path | None, folder: Path, given: Mapping[str, str]
 ) -> EditedScene | RecordedDocking | SurveyedFloor:
     if given["scene"]:
-        return from_link(given["scene"])
+        return from_link(given["scene"], folder)
     if len(given["file"]) > _LONGEST_NAME:
         raise InvalidValue(f"file: must have at most {_LONGEST_NAME} characters, got {shown(given['file'])}")
     return open_source(given["file"] or source, folder)

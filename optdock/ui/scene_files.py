@@ -1,7 +1,7 @@
 """Scenes that are read from files and written to files of one folder.
 
-Names of files may come from the page, so every file is inside the folder after links and `..` have been resolved: the
-named file, the map of a scenario and the image of a map.
+Names of files may come from the page, so every file is checked by `inside`: the named file, the map of a scenario and
+the image of a map.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -19,12 +20,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.config import demo_scenario, load_scenario, save_scenario
+from optdock.config.scenario import parse_scenario
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.atomic_file import replacing
-from optdock.io.guarded_file import is_regular
-from optdock.io.maps import load_map
+from optdock.io.guarded_file import MostBytes, is_regular, read_text
 from optdock.io.plan_file import load_plan
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
@@ -34,6 +35,7 @@ from optdock.planning.failures import check_ends
 from optdock.survey.dock_places import along_walls
 from optdock.survey.grid import Box
 from optdock.ui.scene_edits import EditedScene, rounded_pose
+from optdock.ui.scene_maps import inside, is_inside, known_costmap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -42,8 +44,9 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
+    from optdock.ui.drawn_plan import DrawnPlan
 
-__all__ = ["inside", "open_scene", "saved", "worked_scenes"]
+__all__ = ["answer_files", "open_scene", "saved", "worked_scenes"]
 
 _NAME = re.compile(r"[^\W_][\w .+-]{0,99}", re.ASCII)
 _MOST_SCENARIOS = 200  # that are compared with a plan
@@ -75,14 +78,13 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
             plan.
     """
     if source is None:
-        return EditedScene(load_scenario(demo_scenario()))
+        return _scene_of_scenario(demo_scenario(), demo_scenario().parent)
     file = inside(source, folder)
     if file.suffix.lower() == ".json":
         return _scene_of_plan(file, Path(folder))
     content = load_yaml(file).value
     if isinstance(content, Mapping) and "image" in content and "robot" not in content:
-        _named_in(content, "image", file, folder)
-        return EditedScene(_placed_on(file), file)
+        return EditedScene(_placed_on(file, known_costmap(file, folder)), file)
     return _scene_of_scenario(file, folder)
 
 
@@ -117,7 +119,7 @@ def saved(
     if not name.lower().endswith((".yaml", ".yml")):
         name = f"{name}.yaml"
     target = Path(folder) / name
-    source = scene.map_source if scene.map_source is not None and _is_inside(scene.map_source, folder) else None
+    source = scene.map_source if scene.map_source is not None and is_inside(scene.map_source, folder) else None
     drawn = (
         []
         if scene.problem.costmap is None
@@ -134,40 +136,33 @@ def saved(
         return (*save_scenario(target, scene.scenario, obstacles=scene.polygons, map_source=source), *others)
 
 
-def _is_inside(file: str | Path, folder: str | Path) -> bool:
-    """Whether a file, whose name is relative to the folder or absolute, is inside the folder."""
-    try:
-        root = Path(folder).resolve(strict=True)
-        return (root / file).resolve().is_relative_to(root)
-    except (OSError, ValueError, RuntimeError):  # no folder; a null byte; a loop of links
-        return False
+def answer_files(drawn: DrawnPlan, scene: EditedScene, name: str) -> dict[str, Callable[[Path], object]]:
+    """Return functions that write the plan file and the report of an answer, by their suffixes, for `saved`.
 
-
-def inside(file: str | Path, folder: str | Path) -> Path:
-    """Return the path of a file.
-
-    Raises:
-        InvalidValue: If the file is not inside the folder.
+    Args:
+        drawn: The answer to the scene.
+        scene: The scene.
+        name: Name of the file of the scene.
     """
-    if not (isinstance(file, str | Path) and _is_inside(file, folder)):
-        raise InvalidValue(f"file: {shown(str(file))} is not in the folder of optdock ui, {shown(str(folder))}")
-    return Path(folder).resolve() / file
+    from optdock.reports.html import plan_chapter, save_report
 
-
-def _named_in(content: Mapping[str, object], key: str, file: Path, folder: str | Path) -> Path | None:
-    """Return the file that is the value of a key, relative to the file with the key; None if there is none."""
-    name = content.get(key)
-    return inside(file.parent / name, folder) if isinstance(name, str) else None
+    text, file, stem = drawn.plan_text, drawn.plan_file, name.removesuffix(".yaml").removesuffix(".yml")
+    return {
+        ".json": lambda path: path.write_text(text, encoding="utf-8"),
+        ".html": lambda path: save_report(path, stem, [plan_chapter(f"{stem}.json", file, scene.problem)]),
+    }
 
 
 def _scene_of_scenario(file: Path, folder: str | Path) -> EditedScene:
-    content = load_yaml(file).value
-    source = _named_in(content, "map", file, folder) if isinstance(content, Mapping) else None
-    if source is not None:
-        map_content = load_yaml(source).value
-        if isinstance(map_content, Mapping):
-            _named_in(map_content, "image", source, folder)
-    return EditedScene(load_scenario(file), source)
+    source: Path | None = None
+
+    def costmap_of(name: str) -> Costmap:
+        nonlocal source
+        source = inside(file.parent / name, folder)
+        return known_costmap(source, folder)
+
+    scenario = parse_scenario(read_text(file, MostBytes.YAML), str(file), costmap_of)
+    return EditedScene(scenario, source)
 
 
 def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
@@ -187,19 +182,20 @@ def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
 def _scenes_beside(file: Path, folder: Path) -> Iterator[EditedScene]:
     """Yield the scenes of the scenarios in the folder of a plan file, that of its name first."""
     files = [*file.parent.glob("*.yaml"), *file.parent.glob("*.yml")]
-    readable = [one for one in sorted(files) if is_regular(one) and _is_inside(one, folder)]
+    readable = [one for one in sorted(files) if is_regular(one) and is_inside(one, folder)]
     for candidate in sorted(readable, key=lambda one: one.stem != file.stem)[:_MOST_SCENARIOS]:
         with suppress(InvalidFile, InvalidValue):  # other kinds of files
             yield _scene_of_scenario(candidate, folder)
 
 
-def _placed_on(source: Path) -> Scenario:
+@lru_cache(maxsize=4)
+def _placed_on(source: Path, costmap: Costmap) -> Scenario:
     """Return the built-in scenario on a map, with dock and start in free places of the map.
 
     If the map has none for the robot, robot and station are smaller.
     """
     scenario = load_scenario(demo_scenario())
-    problem = dataclasses.replace(scenario.problem, costmap=load_map(source).costmap.frozen())
+    problem = dataclasses.replace(scenario.problem, costmap=costmap)
     for scale in _SCALES:
         placed = _with_free_places(_scaled(problem, scale))
         if placed is not None:

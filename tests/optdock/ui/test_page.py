@@ -29,7 +29,7 @@ from optdock.ui.page_session import PageSession, make_page, open_source
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP
-from optdock.ui.scene_links import to_link
+from optdock.ui.scene_links import from_link, to_link
 from optdock.ui.scene_view import margin_colours
 
 
@@ -206,13 +206,13 @@ def test_scenario_plan_and_report_are_saved_once(worked, tmp_path):
     page = worked(folder=tmp_path)
     page.process.answer(page)
     page.toolbar._name.value = "bay"
-    page.toolbar.save()
+    page.save()
     assert {one.name for one in tmp_path.iterdir()} == {"bay.yaml", "bay.json", "bay.html"}
     assert open_scene("bay.json", tmp_path).fingerprint == page.history.scene.fingerprint
-    page.toolbar.save()
+    page.save()
     assert "exists" in page.message.text
     page.toolbar._name.value = "../outside"
-    page.toolbar.save()
+    page.save()
     assert 'role="alert"' in page.message.text
     assert not (tmp_path.parent / "outside.yaml").exists()
 
@@ -223,7 +223,7 @@ def test_a_page_opens_the_scene_of_its_address(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "PageSession", lambda *given: opened.append(PageSession(*given)) or opened[-1])
     (path, *_) = worked_scenes()
     scene = open_scene(path.name, path.parent)
-    make_page(Document(), None, tmp_path, {"scene": [to_link(scene).encode()], "theme": [b"dark"]})
+    make_page(Document(), None, tmp_path, {"scene": [to_link(scene, tmp_path).encode()], "theme": [b"dark"]})
     assert opened[-1].history.scene.fingerprint == scene.fingerprint
     for hostile in (b"\xff\xfe", b"9." + b"A" * 100_000):
         make_page(Document(), None, tmp_path, {"scene": [hostile]})
@@ -241,9 +241,34 @@ def test_a_slider_is_one_step_of_undo_and_is_planned_at_its_end(worked):
         page._set_field("robot.limits.max_speed", text, True)
     page._set_field("robot.limits.max_speed", "0.4", False)
     assert [one.in_hand for one in page.process.asked] == [False, True, True, True, False]
-    assert page.toolbar.link.text == to_link(page.history.scene)
+    assert page.toolbar.link.text == to_link(page.history.scene, Path())
     page.history.undo()
     assert page.history.scene is before
+
+
+def test_a_scene_with_a_map_returns_by_its_link(monkeypatch, tmp_path):
+    monkeypatch.setattr(page_module, "RequestProcess", Requests)
+    page = PageSession(Document(), open_scene(None, tmp_path), tmp_path)
+    page.history.nudge(0.1, 0.0)
+    assert page.unlinked.text == ""
+    assert from_link(page.toolbar.link.text, tmp_path).fingerprint == page.history.scene.fingerprint
+    page._explain_link()
+    assert "contains the scene, without its map" in page.message.text
+
+
+def test_a_scene_without_a_link_is_named_before_it_is_lost(worked):
+    page = worked()
+    places = np.random.default_rng(1).normal(size=(900, 2)).round(6)
+    triangles = [np.add(place, [[0, 0], [0.1, 0], [0, 0.1]]) for place in places]
+    page.history.edit(lambda scene: scene._with_polygons(triangles))
+    assert page.toolbar.link.text == ""
+    assert "the scene is too large" in page.unlinked.text
+    assert "loses changes that are not saved" in page.unlinked.text
+    page._explain_link()
+    assert 'role="alert"' in page.message.text
+    page.history.undo()
+    assert page.toolbar.link.text.startswith("1.")
+    assert page.unlinked.text == ""
 
 
 @pytest.mark.parametrize("key", ["z", "ArrowUp", "Delete"])
@@ -412,19 +437,19 @@ def test_nothing_is_saved_if_one_of_the_files_cannot_be(worked, tmp_path, suffix
     (folder / f"bay{suffix}").symlink_to(tmp_path / "outside")
     page.toolbar._name.value = "bay"
     page.toolbar._replace.active = True
-    page.toolbar.save()
+    page.save()
     assert 'role="alert"' in page.message.text
     assert [one.name for one in folder.iterdir()] == [f"bay{suffix}"]
     assert not (tmp_path / "outside").exists()
     (folder / f"bay{suffix}").unlink()
     (folder / f"bay{suffix}").write_text("mine")
     page.toolbar._replace.active = False
-    page.toolbar.save()
+    page.save()
     assert [one.read_text() for one in folder.iterdir()] == ["mine"]
     (folder / f"bay{suffix}").unlink()
     (folder / f"bay{suffix}").mkdir()
     page.toolbar._replace.active = True
-    page.toolbar.save()
+    page.save()
     assert 'role="alert"' in page.message.text
 
 
