@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from optdock import __version__
 from optdock.errors import InvalidValue, OptdockError
-from optdock.io.quoting import shown
 from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
 from optdock.ui.curve_view import CurveView
@@ -24,30 +23,29 @@ from optdock.ui.field_view import FieldView
 from optdock.ui.floor_view import FloorView
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
-from optdock.ui.recorded_docking import RecordedDocking, recorded_docking
+from optdock.ui.recorded_docking import RecordedDocking
 from optdock.ui.request_process import RequestProcess
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_fields import with_field
 from optdock.ui.scene_files import answer_files, open_scene, saved, worked_scenes
 from optdock.ui.scene_history import SceneHistory
-from optdock.ui.scene_links import from_link, to_link
-from optdock.ui.scene_maps import inside
+from optdock.ui.scene_links import to_link
 from optdock.ui.scene_pointer import ScenePointer
 from optdock.ui.scene_view import GHOST, SceneView
-from optdock.ui.surveyed_floor import SurveyedFloor, surveyed_floor
+from optdock.ui.surveyed_floor import SurveyedFloor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
     from bokeh.document import Document
 
+    from optdock.ui.opened_source import AskedPage
 
-__all__ = ["PageSession", "make_page", "open_source"]
+__all__ = ["PageSession", "make_page"]
 
 _STALE = 150  # [ms] until an answer to another scene is faded
 _LONGEST_STILL = 0.1  # [s] for which the picture may stay while the hand moves
-_LONGEST_NAME = 200  # characters of a file in the address of a page
 
 
 class PageSession:
@@ -287,9 +285,10 @@ class PageSession:
             "words": self.words, "unlinked": self.unlinked, **self.toolbar.roots,
             **{f"fields_{name}": group for name, group in groups.items()},
         }  # fmt: skip
-        for name, root in roots.items():
-            root.name = name
-            self.document.add_root(root)
+        with self.document.models.freeze():  # collects the models of all roots once
+            for name, root in roots.items():
+                root.name = name
+                self.document.add_root(root)
         loader = PackageLoader("optdock.ui", "templates")
         environment = Environment(loader=loader, autoescape=False)
         self.document.template = environment.get_template("ui.html")
@@ -304,51 +303,16 @@ class PageSession:
         self.document.title = "optdock"
 
 
-def make_page(document: Document, source: Path | None, folder: Path, arguments: Mapping[str, list[bytes]]) -> None:
+def make_page(document: Document, asked: AskedPage, folder: Path) -> None:
     """Fill the document of a page that was opened.
 
     Args:
         document: The document.
-        source: File with which the program was started, or None.
-        folder: Folder in which the page may read and write files.
-        arguments: Arguments of the query: `scene`, a link; `file`, a file in the folder; `theme`, `dark` or nothing.
-            An argument that is wrong becomes a message on the page with the first scene.
+        asked: Content of the page.
+        folder: Folder in which the page may write files.
     """
-    given = {name: arguments.get(name, [b""])[0].decode("utf-8", "replace") for name in ("scene", "file", "theme")}
-    fault = ""
-    try:
-        opened = _opened(source, folder, given)
-    except OptdockError as error:
-        fault = str(error)
-        try:
-            opened = open_source(source, folder)
-        except OptdockError:  # the file has changed since the program was started
-            opened = open_scene(None, folder)
+    opened = asked.opened
     scene, recorded = (opened, None) if isinstance(opened, EditedScene) else (opened.scene, opened)
-    page = PageSession(document, scene, folder, int(given["theme"] == "dark"), recorded)
-    if fault:
-        page.say(fault, is_bad=True)
-
-
-def open_source(source: str | Path | None, folder: Path) -> EditedScene | RecordedDocking | SurveyedFloor:
-    """Return the scene of a file, the docking of a log (suffix `.jsonl`), or the survey of a folder.
-
-    Raises:
-        InvalidFile: If the file cannot be read.
-        InvalidValue: If it is not inside the folder, or does not fit.
-    """
-    if source is not None and str(source).lower().endswith(".jsonl"):
-        return recorded_docking(source, folder)
-    if source is not None and (inside(source, folder) / "survey.json").is_file():
-        return surveyed_floor(source, folder)
-    return open_scene(source, folder)
-
-
-def _opened(
-    source: Path | None, folder: Path, given: Mapping[str, str]
-) -> EditedScene | RecordedDocking | SurveyedFloor:
-    if given["scene"]:
-        return from_link(given["scene"], folder)
-    if len(given["file"]) > _LONGEST_NAME:
-        raise InvalidValue(f"file: must have at most {_LONGEST_NAME} characters, got {shown(given['file'])}")
-    return open_source(given["file"] or source, folder)
+    page = PageSession(document, scene, folder, asked.variant, recorded)
+    if asked.fault:
+        page.say(asked.fault, is_bad=True)

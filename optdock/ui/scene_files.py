@@ -29,7 +29,7 @@ from optdock.io.guarded_file import MostBytes, is_regular, read_text
 from optdock.io.plan_file import load_plan
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
-from optdock.model.costs import LETHAL, NO_INFORMATION
+from optdock.model.costmap import LETHAL, Costmap
 from optdock.model.dock import DockDirection
 from optdock.planning.failures import check_ends
 from optdock.survey.dock_places import along_walls
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from optdock.config import Scenario
     from optdock.geometry.arrays import BoolArray, FloatArray
-    from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
     from optdock.ui.drawn_plan import DrawnPlan
 
@@ -54,6 +53,7 @@ _SCALES = (1.0, 0.5, 0.25)  # of the built-in robot on a map
 _WALL_SPACING = 0.5  # [m] between proposed docks
 _WALL_REACH = 3.0  # [m] beyond the nearest wall, for proposed docks
 _LEAST_APART = 3.0  # circumscribed radii between a proposed dock and start, at least
+_MOST_CELLS = 1_000_000  # in which free places are searched first
 _START_DISTANCE = 4.0  # [m] from the dock to a proposed start, at most
 
 
@@ -215,14 +215,36 @@ def _scaled(problem: DockingProblem, scale: float) -> DockingProblem:
 
 def _with_free_places(problem: DockingProblem) -> DockingProblem | None:
     """Return the problem with dock and start in free places of its map; None if there are none."""
-    if problem.costmap is None:
+    costmap = problem.costmap
+    if costmap is None:
         return None
-    is_reachable, room = _free_places(problem, problem.costmap)
+    block = math.ceil(math.sqrt(costmap.data.size / _MOST_CELLS))
+    for cells in dict.fromkeys((_blocks(costmap, block), costmap)):  # one if a block is a cell
+        placed = _with_places_on(cells, problem)
+        if placed is not None:
+            return placed
+    return None
+
+
+def _blocks(costmap: Costmap, block: int) -> Costmap:
+    """Return a costmap of square blocks of cells, in which blocks with a blocked cell are blocked."""
+    if block <= 1:
+        return costmap
+    rows, columns = (-(-count // block) for count in costmap.data.shape)
+    blocked = np.ones((rows * block, columns * block), dtype=np.bool_)  # also outside of the map
+    blocked[: costmap.rows, : costmap.columns] = costmap.data >= LETHAL
+    cells = np.where(blocked.reshape(rows, block, columns, block).any(axis=(1, 3)), LETHAL, 0)
+    return Costmap(cells.astype(np.uint8), block * costmap.resolution, costmap.origin)
+
+
+def _with_places_on(cells: Costmap, problem: DockingProblem) -> DockingProblem | None:
+    """Return the problem with dock and start in places that are free in `cells`, which block no less than its map."""
+    is_reachable, room = _free_places(problem, cells)
     if not is_reachable.any():
         return None
-    for dock in _dock_poses(problem, problem.costmap, is_reachable, room):
-        start = _start_pose(dock, problem.costmap, is_reachable, room)
-        if start.distance_to(dock) < _LEAST_APART * problem.robot.footprint.circumscribed_radius:
+    for dock in _dock_poses(problem, cells, is_reachable, room):
+        start = _start_pose(dock, cells, is_reachable, room)
+        if start is None or start.distance_to(dock) < _LEAST_APART * problem.robot.footprint.circumscribed_radius:
             continue
         placed = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=dock), start=start)
         with suppress(OptdockError):
@@ -231,44 +253,57 @@ def _with_free_places(problem: DockingProblem) -> DockingProblem | None:
     return None
 
 
-def _free_places(problem: DockingProblem, costmap: Costmap) -> tuple[BoolArray, FloatArray]:
+def _free_places(problem: DockingProblem, cells: Costmap) -> tuple[BoolArray, FloatArray]:
     """Return the largest connected set of cells on which the robot can turn, and the room of every cell [m].
 
     Shape (rows, columns) each.
     """
     from scipy import ndimage
 
-    is_free = np.pad((costmap.data != LETHAL) & (costmap.data != NO_INFORMATION), 1)
-    room: FloatArray = ndimage.distance_transform_edt(is_free)[1:-1, 1:-1] * costmap.resolution
-    needed = problem.robot.footprint.circumscribed_radius + problem.clearance.required + costmap.resolution
+    is_free = np.pad(cells.data < LETHAL, 1)
+    room: FloatArray = ndimage.distance_transform_edt(is_free)[1:-1, 1:-1] * cells.resolution
+    needed = problem.robot.footprint.circumscribed_radius + problem.clearance.required + cells.resolution
     labels, count = ndimage.label(room >= needed)
     largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=2)[1:])) if count else -1
     return labels == largest, room
 
 
-def _dock_poses(
-    problem: DockingProblem, costmap: Costmap, is_reachable: BoolArray, room: FloatArray
-) -> Iterator[Pose2]:
+def _dock_poses(problem: DockingProblem, cells: Costmap, is_reachable: BoolArray, room: FloatArray) -> Iterator[Pose2]:
     """Yield docks at walls near the roomiest reachable place, the nearest first, and then the place itself."""
     row, column = np.unravel_index(np.argmax(np.where(is_reachable, room, 0.0)), room.shape)
-    x, y = costmap.centre_of(np.array([[column, row]]))[0].tolist()
+    x, y = cells.centre_of([[column, row]])[0].tolist()
     reach = float(room[row, column]) + _WALL_REACH
-    walls = along_walls(problem, _WALL_SPACING, Box(x - reach, y - reach, x + reach, y + reach))
+    near = dataclasses.replace(problem, costmap=_part(problem.costmap or cells, (x, y), reach + _WALL_REACH))
+    walls = along_walls(near, _WALL_SPACING, Box(x - reach, y - reach, x + reach, y + reach))
     before = -2.0 * problem.robot.footprint.circumscribed_radius
     before = -before if problem.dock.direction is DockDirection.BACKWARD else before
     for place in sorted(walls, key=lambda one: math.hypot(one.pose.x - x, one.pose.y - y)):
-        cell = costmap.cell_of((place.pose @ Pose2(before, 0.0, 0.0)).as_array()[None, :2])
-        if bool(costmap.has_cell(cell)[0]) and is_reachable[cell[0, 1], cell[0, 0]]:
+        cell = cells.cell_of((place.pose @ Pose2(before, 0.0, 0.0)).as_array()[None, :2])
+        if bool(cells.has_cell(cell)[0]) and is_reachable[cell[0, 1], cell[0, 0]]:
             yield rounded_pose(place.pose.x, place.pose.y, place.pose.yaw)
     yield rounded_pose(x, y, 0.0)
 
 
-def _start_pose(dock: Pose2, costmap: Costmap, is_reachable: BoolArray, room: FloatArray) -> Pose2:
-    """Return the roomiest reachable pose that is about `_START_DISTANCE` from a dock and heads for it."""
-    rows, columns = np.nonzero(is_reachable)
-    centres = costmap.centre_of(np.column_stack((columns, rows)))
+def _part(costmap: Costmap, centre: tuple[float, float], reach: float) -> Costmap:
+    """Return the part of a costmap within a reach of a point along x and y [m]."""
+    x, y = centre
+    corners = costmap.cell_of([[x - reach, y - reach], [x + reach, y + reach]])
+    (left, low), (right, high) = np.clip(corners, 0, [costmap.columns, costmap.rows]).tolist()
+    origin = costmap.origin[0] + costmap.resolution * left, costmap.origin[1] + costmap.resolution * low
+    return Costmap(costmap.data[low : high + 1, left : right + 1], costmap.resolution, origin)
+
+
+def _start_pose(dock: Pose2, cells: Costmap, is_reachable: BoolArray, room: FloatArray) -> Pose2 | None:
+    """Return the roomiest reachable pose that is about `_START_DISTANCE` from a dock and heads for it; None if none."""
+    (column, row), reach = cells.cell_of([[dock.x, dock.y]])[0], math.ceil(_START_DISTANCE / cells.resolution)
+    low, left = max(0, row - reach), max(0, column - reach)
+    near = slice(low, row + reach + 1), slice(left, column + reach + 1)
+    rows, columns = np.nonzero(is_reachable[near])
+    if rows.size == 0:
+        return None
+    centres = cells.centre_of(np.column_stack((columns + left, rows + low)))
     distance = np.hypot(centres[:, 0] - dock.x, centres[:, 1] - dock.y)
     far = min(_START_DISTANCE, float(distance.max()))
-    best = np.argmax(np.where((distance <= far) & (distance >= 0.7 * far), room[rows, columns], 0.0))
+    best = np.argmax(np.where((distance <= far) & (distance >= 0.7 * far), room[near][rows, columns], 0.0))
     x, y = centres[best].tolist()
     return rounded_pose(x, y, math.atan2(dock.y - y, dock.x - x))

@@ -25,7 +25,8 @@ from optdock.survey.survey import SurveySettings, docks_of, run_survey
 from optdock.ui import page_session as page_module
 from optdock.ui.drawn_plan import drawn_plan
 from optdock.ui.driven_plan import DrivenPlan
-from optdock.ui.page_session import PageSession, make_page, open_source
+from optdock.ui.opened_source import asked_page, open_source
+from optdock.ui.page_session import PageSession, make_page
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP
@@ -223,13 +224,14 @@ def test_a_page_opens_the_scene_of_its_address(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "PageSession", lambda *given: opened.append(PageSession(*given)) or opened[-1])
     (path, *_) = worked_scenes()
     scene = open_scene(path.name, path.parent)
-    make_page(Document(), None, tmp_path, {"scene": [to_link(scene, tmp_path).encode()], "theme": [b"dark"]})
+    query = {"scene": [to_link(scene, tmp_path).encode()], "theme": [b"dark"]}
+    make_page(Document(), asked_page(None, tmp_path, query), tmp_path)
     assert opened[-1].history.scene.fingerprint == scene.fingerprint
     for hostile in (b"\xff\xfe", b"9." + b"A" * 100_000):
-        make_page(Document(), None, tmp_path, {"scene": [hostile]})
+        make_page(Document(), asked_page(None, tmp_path, {"scene": [hostile]}), tmp_path)
         assert 'role="alert"' in opened[-1].message.text
     for hostile in (b"../../etc/passwd", b"x" * 10_000, b"\x00"):
-        make_page(Document(), None, tmp_path, {"file": [hostile]})
+        make_page(Document(), asked_page(None, tmp_path, {"file": [hostile]}), tmp_path)
         assert 'role="alert"' in opened[-1].message.text
         assert isinstance(opened[-1].history.scene, EditedScene)
 
@@ -424,7 +426,7 @@ def test_a_map_is_hidden_while_the_scene_has_none(monkeypatch):
 def test_a_page_opens_after_the_first_file_was_removed(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "RequestProcess", Requests)
     document = Document()
-    make_page(document, tmp_path / "gone.yaml", tmp_path, {})
+    make_page(document, asked_page(tmp_path / "gone.yaml", tmp_path, {}), tmp_path)
     assert any("gone.yaml" in root.text for root in document.roots if isinstance(root, Div))
 
 
