@@ -100,7 +100,9 @@ class PageToolbar:
         bodies = [name for name in names if ".corners" not in name and not name.endswith(".heading")]
         if selected not in bodies:
             bodies.append(selected)
-        self._part.update(options=bodies, value=selected)
+        if bodies != self._part.options:  # Bokeh checks every new option
+            self._part.options = bodies
+        self._part.value = selected
 
     def _pressed(self, key: str) -> None:
         if key == "Escape":

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.ui.drawn_plan import DrawnPlan
+    from optdock.ui.edited_obstacle import EditedObstacle
     from optdock.ui.scene_edits import EditedScene
 
 __all__ = ["GHOST", "SceneView", "margin_colours"]
@@ -52,6 +53,7 @@ class SceneView:
         from bokeh.models import BoxAnnotation, BoxSelectTool, ColumnDataSource, CustomJS
 
         self._variant = variant
+        self._obstacles: tuple[EditedObstacle, ...] | None = None  # that are drawn
         self.axes = axes_of(
             "x [m]",
             "y [m]",
@@ -134,15 +136,17 @@ class SceneView:
         station = problem.dock.footprint
         at = problem.goal.as_array()[None]
         self.data.put("station", _shapes([] if station is None else transform_points(at, station.vertices)))
-        self.data.put("obstacles", _shapes(scene.polygons))
+        if scene.obstacles is not self._obstacles:  # converting hundreds of them takes 5 ms
+            self._obstacles = scene.obstacles
+            self.data.put("obstacles", _shapes(scene.polygons))
         handles = [one for one in scene.handles() if one.name.endswith(("heading", "]")) or one.name == selected]
         inks = [self.ink(_GRIPS[one.name.partition(".")[0].partition("[")[0]]) for one in handles]
         self.data.put(
             "grips",
             {
-                "x": [one.x for one in handles],
-                "y": [one.y for one in handles],
-                "radius": [min(one.radius, 0.12) for one in handles],
+                "x": np.array([one.x for one in handles]),
+                "y": np.array([one.y for one in handles]),
+                "radius": np.array([min(one.radius, 0.12) for one in handles]),
                 "fill": inks,
                 "line": [
                     self.ink("hot") if one.name == selected else ink for one, ink in zip(handles, inks, strict=True)

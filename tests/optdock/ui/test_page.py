@@ -25,6 +25,7 @@ from optdock.survey.survey import SurveySettings, docks_of, run_survey
 from optdock.ui import page_session as page_module
 from optdock.ui.drawn_plan import drawn_plan
 from optdock.ui.driven_plan import DrivenPlan
+from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.ui.opened_source import asked_page, open_source
 from optdock.ui.page_session import PageSession, make_page
 from optdock.ui.scene_edits import EditedScene
@@ -262,7 +263,8 @@ def test_a_scene_without_a_link_is_named_before_it_is_lost(worked):
     page = worked()
     places = np.random.default_rng(1).normal(size=(900, 2)).round(6)
     triangles = [np.add(place, [[0, 0], [0.1, 0], [0, 0.1]]) for place in places]
-    page.history.edit(lambda scene: scene._with_polygons(triangles))
+    obstacles = tuple(map(EditedObstacle.of, triangles, range(900)))
+    page.history.edit(lambda scene: scene._with_obstacles(obstacles))
     assert page.toolbar.link.text == ""
     assert "the scene is too large" in page.unlinked.text
     assert "loses changes that are not saved" in page.unlinked.text

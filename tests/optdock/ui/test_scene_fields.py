@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -67,7 +68,7 @@ def test_a_field_is_read_and_written(name, key):
         last = edited
     assert accepted, others(field, scene)
     # A scenario file keeps the value.
-    assert from_link(to_link(last)).fingerprint == last.fingerprint
+    assert from_link(to_link(last, Path()), Path()).fingerprint == last.fingerprint
 
 
 @pytest.mark.parametrize(("name", "key"), [pair for pair in GIVEN if FIELDS[pair[1]].slider])
@@ -143,7 +144,7 @@ def test_any_text_ends_as_a_value_or_a_message(key, text):
             assert message.isprintable()
             assert len(message) <= LONGEST_MESSAGE
         else:
-            assert from_link(to_link(edited)).fingerprint == edited.fingerprint
+            assert from_link(to_link(edited, Path()), Path()).fingerprint == edited.fingerprint
         assert scene.fingerprint == before
 
 

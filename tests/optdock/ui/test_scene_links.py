@@ -19,6 +19,7 @@ from optdock.config import demo_scenario, load_scenario
 from optdock.errors import InvalidValue
 from optdock.io import guarded_file
 from optdock.model.dock import DockTolerances
+from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_links import _content, from_link, to_link
@@ -78,7 +79,7 @@ def test_a_link_keeps_every_digit_of_an_edit(x, y, angle):
 
 def test_a_polygon_that_is_not_convex_stays_whole():
     dented = np.array([[3.0, 0.0], [4.0, 0.0], [4.0, 1.0], [3.5, 0.5], [3.0, 1.0]])
-    scene = SCENES[2]._with_polygons([dented])
+    scene = SCENES[2]._with_obstacles((EditedObstacle.of(dented, 0),))
     found = from_link(to_link(scene, NONE), NONE)
     assert [polygon.tolist() for polygon in found.polygons] == [dented.tolist()]
     assert found.fingerprint == scene.fingerprint
@@ -98,7 +99,8 @@ def test_scenes_that_a_link_cannot_contain():
     with pytest.raises(InvalidValue, match="tolerances"):
         to_link(SCENES[2].with_problem(dataclasses.replace(problem, dock=dock)), NONE)
     places = np.random.default_rng(1).normal(size=(900, 2)).round(6)
-    many = SCENES[2]._with_polygons([np.add(place, [[0, 0], [0.1, 0], [0, 0.1]]) for place in places])
+    triangles = [np.add(place, [[0, 0], [0.1, 0], [0, 0.1]]) for place in places]
+    many = SCENES[2]._with_obstacles(tuple(map(EditedObstacle.of, triangles, range(900))))
     with pytest.raises(InvalidValue, match="too large"):
         to_link(many, NONE)
 
