@@ -1,6 +1,7 @@
 """The page without a browser: events of the pointer and of widgets, and what the document shows after answers."""
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ from bokeh.models import Div
 
 import optdock as od
 from optdock.config import demo_scenario, load_scenario
-from optdock.errors import InvalidValue, NoMotionExists
+from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
 from optdock.runner import Workers
 from optdock.simulation import DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.survey.dock_places import DockPlace
@@ -57,12 +58,12 @@ class Requests:
     def close(self):
         pass
 
-    def answer(self, page, row=-1):
-        """Plan a request, and show the answer."""
-        one = self.asked[row]
+    def answer(self, page, refusal=NoMotionExists):
+        """Plan the newest request, and show the answer."""
+        one = self.asked[-1]
         try:
             result = one.scenario.plan(2.0)
-        except NoMotionExists as error:
+        except refusal as error:
             result = error
         self.ready.append(drawn_plan((one.number, one.fingerprint), one.scenario.problem, result))
         page._show_answers()
@@ -401,6 +402,15 @@ def test_the_browser_receives_every_change_of_the_picture(worked):
     ):
         change()
         assert received == {name: columns for name, columns in page.view.data.columns.items() if columns}
+
+
+def test_numbers_of_a_refusal_are_short(worked):
+    page = worked()
+    start, row = page.history.scene.problem.start, page.history.scene.grip("obstacles[0]")
+    page.history.nudge(row.x - start.x + 0.1, row.y - start.y + 0.07)
+    page.process.answer(page, StartOccupied)
+    assert "clearance: -0.58<" in page.words.text
+    assert re.search(r"[0-9]\.[0-9]{7}", page.words.text) is None
 
 
 def test_texts_of_an_answer_are_not_markup(worked):

@@ -80,6 +80,30 @@ def test_a_value_that_is_written_back_restores_the_scene(name, key):
     assert with_field(with_field(scene, key, text), key, field.text(scene)).fingerprint == scene.fingerprint
 
 
+@pytest.mark.parametrize("key", [key for name, key in GIVEN if name == "camera" and FIELDS[key].slider])
+def test_a_text_is_short_and_keeps_the_value_until_it_is_edited(key):
+    scene, field = SCENES["camera"], FIELDS[key]
+    value = min(field.read(scene), 1e3)  # some are infinite
+    noisy = with_field(scene, key, repr(0.9 * value + 1 / 300))
+    text = field.text(noisy)
+    assert len(text) <= 10
+    assert field.read(noisy) == pytest.approx(float(text), rel=1e-5)
+    assert repr(field.read(noisy)) != text
+    assert with_field(noisy, key, text) is noisy
+    edited = with_field(noisy, key, f"{float(text) - 1e-4:.4f}")
+    assert field.read(edited) != field.read(noisy)
+
+
+def test_the_reduced_curvature_is_kept_when_it_is_entered():
+    key = "robot.limits.max_curvature"
+    value, text = FIELDS[key].read(FORK), FIELDS[key].text(FORK)
+    assert float(text) > value  # rounded up
+    again = with_field(with_field(FORK, key, "1.2"), key, text)
+    assert FIELDS[key].read(again) == value
+    with pytest.raises(InvalidValue, match="the curvature at max_steering_angle"):
+        with_field(FORK, key, "1.2603")
+
+
 def test_the_texts_of_the_table_come_from_the_scenario_keys():
     units = {row.key: row.unit for row in scenario_reference()}
     for key, field in FIELDS.items():
