@@ -12,15 +12,19 @@ import time
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from optdock import __version__
 from optdock.errors import InvalidValue, OptdockError
 from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
+from optdock.reports.html.plan_chapter import start_relief
 from optdock.ui.curve_view import CurveView
 from optdock.ui.drawn_plan import DrawnPlan
 from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.field_view import FieldView
 from optdock.ui.floor_view import FloorView
+from optdock.ui.moved_shapes import MovedShapes, moved_shapes
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
 from optdock.ui.recorded_docking import RecordedDocking
@@ -31,7 +35,7 @@ from optdock.ui.scene_files import answer_files, open_scene, saved, worked_scene
 from optdock.ui.scene_history import SceneHistory
 from optdock.ui.scene_links import to_link
 from optdock.ui.scene_pointer import ScenePointer
-from optdock.ui.scene_view import GHOST, SceneView
+from optdock.ui.scene_view import GHOSTS, SceneView
 from optdock.ui.surveyed_floor import SurveyedFloor
 
 if TYPE_CHECKING:
@@ -77,7 +81,7 @@ class PageSession:
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
-        self.curves = CurveView(self.view.source(GHOST), variant)
+        self.curves = CurveView([self.view.source(name) for name in GHOSTS], variant)
         self.fields = FieldView(self._set_field)
         calls = {
             "Add box": lambda: self.history.add(self.view.view, is_wall=False),
@@ -239,10 +243,18 @@ class PageSession:
         self.view.show_answer(drawn)
         if not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
-            self.curves.show(drawn.motion, drawn.outline)
+            self.curves.show(drawn.motion, self._moved(drawn))
             self.view.show_ghost(visible=True)
             self.words.text = answer_html(drawn)
             self._show_recorded(drawn)
+
+    def _moved(self, drawn: DrawnPlan) -> MovedShapes:
+        """Return the shapes that the player moves along the motion of an answer; of an older scene, only the robot."""
+        scene = self.history.scene
+        if drawn.fingerprint != scene.fingerprint:
+            return MovedShapes(drawn.outline, np.zeros((0, 2)), 0.0 * drawn.outline, np.zeros(0))
+        poses = drawn.motion.poses if drawn.motion is not None and drawn.outcome == "certified" else None
+        return moved_shapes(scene.problem, poses, start_relief(drawn.file))
 
     def _show_recorded(self, drawn: DrawnPlan) -> None:
         """Play the recorded docking instead of the plan for its scene."""
@@ -250,7 +262,7 @@ class PageSession:
         if recorded is None or drawn.fingerprint != recorded.scene.fingerprint:
             return
         self.view.show_drive(recorded.poses, recorded.detections)
-        self.curves.show_player(recorded.times, recorded.poses, drawn.outline, recorded.states)
+        self.curves.show_player(recorded.times, recorded.poses, moved_shapes(recorded.scene.problem), recorded.states)
         self.say(f"recorded: {recorded.ending}")
 
     def _show_drive(self, drive: DrivenPlan) -> None:
@@ -260,7 +272,7 @@ class PageSession:
         self._show_status("")
         self.view.show_drive(drive.poses)
         if len(drive.times):
-            self.curves.show_player(drive.times, drive.poses, scene.problem.robot.footprint.vertices)
+            self.curves.show_player(drive.times, drive.poses, moved_shapes(scene.problem))
         self.say(drive_text(drive), is_bad=drive.outcome != "docked")
         if drive.outcome != "cancelled" and (self.shown is None or self.shown.fingerprint != scene.fingerprint):
             self._ask(in_hand=False)  # the drive replaced the request for the plan

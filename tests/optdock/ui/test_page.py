@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import shapely
 
 pytest.importorskip("bokeh")
 
@@ -18,6 +19,9 @@ from bokeh.models import Div
 import optdock as od
 from optdock.config import demo_scenario, load_scenario
 from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
+from optdock.geometry.pose import Pose2
+from optdock.model.camera import Camera
+from optdock.model.robot import TrackingTube
 from optdock.runner import Workers
 from optdock.simulation import DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.survey.dock_places import DockPlace
@@ -335,10 +339,10 @@ def test_delete_twice_removes_one_obstacle(worked):
     assert page.history.selected == "start"
 
 
-def driven(page, outcome="docked", *, number=None):
+def driven(page, outcome="docked", *, number=None, count=0):
     """Return the answer to a request for a drive of the present scene."""
-    none, number = np.zeros((0, 3)), page._number if number is None else number
-    return DrivenPlan(number, page.history.scene.fingerprint, outcome, "", (), np.zeros(0), none, none)
+    number, poses = page._number if number is None else number, np.zeros((count, 3))
+    return DrivenPlan(number, page.history.scene.fingerprint, outcome, "", (), np.arange(1.0 * count), poses, poses)
 
 
 def test_a_plan_that_a_drive_replaced_is_requested_again(worked):
@@ -465,6 +469,37 @@ def test_nothing_is_saved_if_one_of_the_files_cannot_be(worked, tmp_path, suffix
     page.toolbar._replace.active = True
     page.save()
     assert 'role="alert"' in page.message.text
+
+
+def test_camera_and_tube_move_with_the_robot(worked):
+    page = worked()
+    page.process.answer(page)
+    robot, cone, tube = page.curves._shapes
+    assert [len(one.data["x"]) for one in (robot, cone, tube)] == [4, 0, 0]
+    problem = page.history.scene.problem
+    camera = Camera(Pose2(-0.4, 0.0, math.pi), 1.0, 0.2, 3.0)
+    seeing = replace(problem.robot, camera=camera, tracking=TrackingTube(0.01, 0.01))
+    page.history.edit(lambda scene: scene.with_problem(replace(problem, robot=seeing)))
+    page.process.answer(page)
+    x, y = np.array(cone.data["x"]), np.array(cone.data["y"])
+    points = np.column_stack((-0.4 - x, -y))  # in the frame of the camera, which looks backwards
+    assert np.abs(camera.margins(points).near).min() < 1e-9
+    assert min(map(min, zip(*camera.margins(points)[:3], strict=True))) > -1e-9
+    # The tube contains every point that the robot reaches by a displacement up to its width.
+    widths, row = np.array(page.curves._motion.data["width"]), 100
+    assert widths.max() == pytest.approx(seeing.tracking.width(seeing.footprint))
+    assert widths[-1] < 1e-6
+    grown = [np.array(tube.data[name]) + widths[row] * np.array(tube.data[f"d{name}"]) for name in "xy"]
+    reached = shapely.Polygon(seeing.footprint.vertices).buffer(widths[row], quad_segs=32)
+    assert shapely.Polygon(np.column_stack(grown)).buffer(1e-9).contains(reached)
+    assert shapely.Polygon(np.column_stack(grown)).hausdorff_distance(reached) < 0.5 * widths[row]
+    page.process.ready.append(driven(page, count=3))
+    page._show_answers()
+    assert [len(one.data["x"]) > 0 for one in (robot, cone, tube)] == [True, True, False]  # it lies around the path
+    page.history.nudge(0.1, 0.0)
+    page.load_worked("no_way")
+    page.process.answer(page)
+    assert [len(one.data["x"]) for one in (robot, cone, tube)] == [4, 0, 0]
 
 
 def test_colours_of_margins_go_from_red_to_blue():
