@@ -97,26 +97,30 @@ def load_scenario(source: str | Path) -> Scenario:
         InvalidFile: If the file cannot be read or violates the format. The message has one line per fault, with file,
             line, key, value and rule.
     """
-    return _scenario(load_yaml(source), Path(source))
+    folder = Path(source).parent
+    return _scenario(load_yaml(source), Path(source), lambda name: load_map(folder / name).costmap)
 
 
-def parse_scenario(text: str, name: str) -> Scenario:
-    """Return the scenario of a text, format `optdock-scenario/1`, without a map; no file is read.
+def parse_scenario(text: str, name: str, costmap_of: Callable[[str], Costmap] | None = None) -> Scenario:
+    """Return the scenario of a text, format `optdock-scenario/1`; no file is read.
 
     Args:
         text: Content of a scenario file.
         name: Name of the text in messages.
+        costmap_of: Function that returns the costmap of the map that the text names; None: a map is not allowed.
 
     Raises:
-        InvalidFile: If the text violates the format or names a map.
+        InvalidFile: If the text violates the format, or names a map that is not allowed or for which `costmap_of`
+            raises an error of the library.
     """
-    located = parse_yaml(text, Path(name))
-    if isinstance(located.value, Mapping) and located.value.get("map") is not None:
-        raise InvalidFile(located.fault(("map",), "is not allowed here; only a scenario file may name a map"))
-    return _scenario(located, Path(name))
+    return _scenario(parse_yaml(text, Path(name)), Path(name), costmap_of or _no_map)
 
 
-def _scenario(located: Document, source: Path) -> Scenario:
+def _no_map(_: str) -> Costmap:
+    raise InvalidValue("is not allowed here; only a scenario file may name a map")
+
+
+def _scenario(located: Document, source: Path, costmap_of: Callable[[str], Costmap]) -> Scenario:
     if not isinstance(located.value, Mapping):
         raise InvalidFile(f"{source}: must be a mapping with the key format: optdock-scenario/1")
     format_ = located.value.get("format")
@@ -126,7 +130,7 @@ def _scenario(located: Document, source: Path) -> Scenario:
     faults: list[Fault] = []
     document = _document(located.value, faults)
     choices = {kind: plugin_choice(kind, located.value.get(kind, {}), faults) for kind in SECTIONS}
-    costmap = _costmap(source, located.value.get("map"), faults)
+    costmap = _costmap(located.value.get("map"), faults, costmap_of)
     if faults or document is None:
         raise InvalidFile(report(faults, located))
     _warn_of_outside_origin(source, document.robot.value().footprint)
@@ -150,12 +154,12 @@ def _document(value: Mapping[str, object], faults: list[Fault]) -> ScenarioDocum
         return None
 
 
-def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
-    """Return the costmap of a map whose path is relative to the scenario; None if there is no map or it has faults."""
+def _costmap(name: object, faults: list[Fault], costmap_of: Callable[[str], Costmap]) -> Costmap | None:
+    """Return the costmap of a map; None if there is no map or it has faults."""
     if not isinstance(name, str):
         return None
     try:
-        return load_map(source.parent / name).costmap
+        return costmap_of(name)
     except OptdockError as error:
         faults.extend(Fault(("map",), line) for line in str(error).splitlines())
         return None

@@ -125,15 +125,16 @@ class ObstacleSet(FrozenArrays):
         Raises:
             InvalidValue: If a polygon has fewer than three vertices, no area, crossing edges or NaN.
         """
-        pieces: list[FloatArray] = []
-        group: list[int] = []
-        names: list[str] = []
-        for i, polygon in enumerate(polygons):
-            names.append(f"{name}[{i}]")
-            for piece in convex_pieces(simple_polygon(polygon, names[-1])):
-                pieces.append(piece)
-                group.append(i)
-        return _padded(pieces, tuple(names), np.array(group, dtype=np.int64))
+        whole = (simple_polygon(polygon, f"{name}[{i}]") for i, polygon in enumerate(polygons))
+        return cls.from_decomposed(map(convex_pieces, whole), name)
+
+    @classmethod
+    def from_decomposed(cls, polygons: Iterable[Sequence[FloatArray]], name: str = "obstacles") -> ObstacleSet:
+        """Return the set of polygons that are given by their `convex_pieces`; polygon i is named `name[i]`."""
+        parts = [*polygons]
+        pieces = [piece for part in parts for piece in part]
+        group = np.repeat(np.arange(len(parts)), np.array([len(part) for part in parts], dtype=np.int64))
+        return _padded(pieces, tuple(f"{name}[{i}]" for i in range(len(parts))), group)
 
     @classmethod
     def from_rectangles(cls, lower: FloatArray, upper: FloatArray, name: str) -> ObstacleSet:

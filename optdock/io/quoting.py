@@ -5,9 +5,10 @@ Text from files may contain control characters, be very long, or be confidential
 
 from __future__ import annotations
 
-__all__ = ["printable", "shortened", "shown"]
+__all__ = ["in_digits", "printable", "shortened", "shown"]
 
 _LONGEST_VALUE = 60  # characters of a value in a message
+_LONGEST_NUMBER = 9  # characters of a number that is written with all its digits
 _LONGEST_SENTENCE = 300  # characters of a message of another library
 
 
@@ -39,3 +40,22 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):  # integers of more than 4300 digits
         text = f"a {type(value).__name__} too long to be written"
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
+def in_digits(value: object) -> str:
+    """Return a value as text, in which long numbers have six significant digits, 1e-4 m below 100 m.
+
+    The numbers of lists and mappings are written in the same way; other values as by `str`.
+
+    >>> in_digits(-0.43000000000000016), in_digits(0.25), in_digits([1 / 3, 2]), in_digits({"s": 1e-7 / 3})
+    ('-0.43', '0.25', '[0.333333, 2]', '{s: 3.33333e-08}')
+    >>> in_digits(1732622400.123)
+    '1732622400.123'
+    """
+    if isinstance(value, float):
+        digits = repr(value)
+        many = f"{value:.3f}" if 1e5 <= abs(value) < 1e15 else f"{value:.6g}"
+        return digits if len(digits) <= _LONGEST_NUMBER else many
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {in_digits(one)}' for key, one in value.items())}}}"
+    return f"[{', '.join(map(in_digits, value))}]" if isinstance(value, list | tuple) else str(value)

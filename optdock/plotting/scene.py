@@ -31,6 +31,7 @@ __all__ = [
     "OutlineStyle",
     "View",
     "camera_cone",
+    "camera_outline",
     "draw_arrow",
     "draw_cone",
     "draw_footprints",
@@ -256,11 +257,15 @@ def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
 
 def camera_cone(view: RequiredView, pose: FloatArray) -> FloatArray:
     """Return the outline of the camera's cone at a pose of the robot, Shape (n, 2) [m]."""
-    camera = view.camera
-    distance = float(view.margins(pose[None]).distance[0])
-    reach = min(camera.max_range, max(_BEYOND * distance, _BEYOND * camera.min_range))
-    seen = transform_points(camera.mount.as_array()[None], _sector(camera, reach))[0]
+    seen = camera_outline(view.camera, float(view.margins(pose[None]).distance[0]))
     outline: FloatArray = transform_points(pose[None], seen)[0]
+    return outline
+
+
+def camera_outline(camera: Camera, distance: float) -> FloatArray:
+    """Return the outline of a camera's cone in the frame of the robot, a little beyond a distance. Shape (n, 2) [m]."""
+    reach = min(camera.max_range, max(_BEYOND * distance, _BEYOND * camera.min_range))
+    outline: FloatArray = transform_points(camera.mount.as_array()[None], _sector(camera, reach))[0]
     return outline
 
 

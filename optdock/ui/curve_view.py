@@ -18,19 +18,24 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.plotting.profile_picture import MotionPanel
     from optdock.reports.shown_motion import ShownMotion
+    from optdock.ui.moved_shapes import MovedShapes
 
 __all__ = ["CurveView"]
 
-# Moves the robot and the cursors to the row of the slider.
+# Moves the robot with its camera and tube, and the cursors, to the row of the slider.
 _MOVE = """
-const {at, x, y, yaw} = motion.data, shape = outline.data, k = Math.min(slider.value, at.length - 1);
-if (k < 0) { ghost.data = {x: [], y: []}; return; }
-const c = Math.cos(yaw[k]), s = Math.sin(yaw[k]), xs = [], ys = [];
-for (let i = 0; i < shape.x.length; i++) {
-  xs.push(x[k] + c * shape.x[i] - s * shape.y[i]);
-  ys.push(y[k] + s * shape.x[i] + c * shape.y[i]);
-}
-ghost.data = {x: xs, y: ys};
+const {at, x, y, yaw, width} = motion.data, k = Math.min(slider.value, at.length - 1);
+if (k < 0) { for (const ghost of ghosts) ghost.data = {x: [], y: []}; return; }
+const c = Math.cos(yaw[k]), s = Math.sin(yaw[k]);
+shapes.forEach((shape, row) => {
+  const xs = [], ys = [], {x: along, y: across, dx, dy} = shape.data;
+  for (let i = 0; i < along.length; i++) {
+    const u = along[i] + width[k] * dx[i], v = across[i] + width[k] * dy[i];
+    xs.push(x[k] + c * u - s * v);
+    ys.push(y[k] + s * u + c * v);
+  }
+  ghosts[row].data = {x: xs, y: ys};
+});
 for (const cursor of cursors) cursor.location = at[k];
 slider.title = `${at[k].toFixed(2)} s ${motion.data.words[k] ?? ""}`;
 """
@@ -57,11 +62,11 @@ class CurveView:
     """Curves of a motion, and a player that moves a robot along it.
 
     Args:
-        ghost: Data of the robot that the player moves.
+        ghosts: Data of the shapes that the player moves: robot, cone of its camera, and its tube.
         variant: Variant of the colours of `PALETTE`.
     """
 
-    def __init__(self, ghost: ColumnDataSource, variant: int) -> None:
+    def __init__(self, ghosts: Sequence[ColumnDataSource], variant: int) -> None:
         from bokeh.layouts import column
         from bokeh.models import ColumnDataSource, CustomJS, Div, Slider, Toggle
 
@@ -72,15 +77,15 @@ class CurveView:
         self.charts = column([Div(text="")], sizing_mode="stretch_width")
         self.slider = Slider(start=0, end=1, value=0, step=1, title="time", sizing_mode="stretch_width", name="player")
         self.play = Toggle(label="Play", width=80, name="play")
-        self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw", "words")})
-        self._outline = ColumnDataSource({"x": [], "y": []})
+        self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw", "words", "width")})
+        self._shapes = [ColumnDataSource({name: [] for name in ("x", "y", "dx", "dy")}) for _ in ghosts]
         known: dict[str, Any] = {"motion": self._motion, "slider": self.slider}
-        self._move = CustomJS(args={**known, "outline": self._outline, "ghost": ghost, "cursors": []}, code=_MOVE)
+        self._move = CustomJS(args={**known, "shapes": self._shapes, "ghosts": [*ghosts], "cursors": []}, code=_MOVE)
         self.slider.js_on_change("value", self._move)
         self._motion.js_on_change("data", self._move)
         self.play.js_on_change("active", CustomJS(args={**known, "button": self.play}, code=_PLAY))
 
-    def show(self, motion: ShownMotion | None, outline: FloatArray) -> None:
+    def show(self, motion: ShownMotion | None, shapes: MovedShapes) -> None:
         """Show the curves of a motion, and put the player at its beginning."""
         panels = {} if motion is None else {panel.label: panel for panel in motion.panels}
         is_new = not panels.keys() <= self._charts.keys()
@@ -94,19 +99,31 @@ class CurveView:
             self.data.connect()
         self.data.send()
         if motion is None:
-            self.show_player(np.zeros(0), np.zeros((0, 3)), outline)
+            self.show_player(np.zeros(0), np.zeros((0, 3)), shapes)
         else:
-            self.show_player(motion.at, motion.poses, outline)
+            self.show_player(motion.at, motion.poses, shapes)
 
     def show_player(
-        self, at: FloatArray, poses: FloatArray, outline: FloatArray, words: Sequence[str] | None = None
+        self, at: FloatArray, poses: FloatArray, shapes: MovedShapes, words: Sequence[str] | None = None
     ) -> None:
         """Let the player move along poses, Shape (n, 3), at times, Shape (n,) [s], with a word for each of them."""
-        self._outline.data = {"x": outline[:, 0], "y": outline[:, 1]}
+        outline, has_tube = shapes.outline, bool(len(shapes.widths))
+        tube = (outline, shapes.growth) if has_tube else (outline[:0], outline[:0])
+        moved = [(outline, 0.0 * outline), (shapes.cone, 0.0 * shapes.cone), tube]
+        for source, (points, growth) in zip(self._shapes, moved, strict=True):
+            source.data = {"x": points[:, 0], "y": points[:, 1], "dx": growth[:, 0], "dy": growth[:, 1]}
         self.play.active = False
         self.slider.update(end=max(1, len(at) - 1), value=0, disabled=len(at) < 2)
         shown = [""] * len(at) if words is None else [*words]
-        self._motion.data = {"at": at, "x": poses[:, 0], "y": poses[:, 1], "yaw": poses[:, 2], "words": shown}
+        width = shapes.widths if has_tube else np.zeros(len(at))
+        self._motion.data = {
+            "at": at,
+            "x": poses[:, 0],
+            "y": poses[:, 1],
+            "yaw": poses[:, 2],
+            "words": shown,
+            "width": width,
+        }
 
     def _add_charts(self, panels: Sequence[MotionPanel]) -> None:
         """Add figures, which stay in the document: Bokeh does not release removed ones in the browser."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from optdock.io.quoting import in_digits
 from optdock.ui.scene_fields import FIELDS, UNLIMITED
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class FieldView:
 
         self._on_change = on_change
         # Texts of the values that `show` entered, as their callbacks may come after it, and are no changes by the user.
-        self._entered: dict[str, tuple[str, ...]] = {}
+        self._entered: dict[str, str] = {}
         self._widgets = [self._made(field) for field in FIELDS.values()]
         self.groups = {
             name: column(
@@ -60,9 +61,8 @@ class FieldView:
         """Enter the values of a scene; fields that it does not have are hidden."""
         for field, box, text, slider in self._widgets:
             value, entered = field.read(scene), field.text(scene)
-            self._entered[field.key] = (entered,)
+            self._entered[field.key] = entered
             if slider is not None and isinstance(value, int | float) and math.isfinite(value):
-                self._entered[field.key] = (entered, repr(float(value)))
                 slider.update(start=min(slider.start, value), end=max(slider.end, value), value=value, title=None)
             box.visible = value is not None
             text.value = entered
@@ -84,11 +84,11 @@ class FieldView:
             start=low, end=high, step=step, value=low, show_value=False, title=None, sizing_mode="stretch_width",
             align="end",
         )  # fmt: skip
-        slider.on_change("value", lambda _, __, value: self._changed(field.key, repr(float(value)), moves=True))
-        slider.on_change("value_throttled", lambda _, __, value: self._changed(field.key, repr(float(value))))
+        slider.on_change("value", lambda _, __, value: self._changed(field.key, in_digits(float(value)), moves=True))
+        slider.on_change("value_throttled", lambda _, __, value: self._changed(field.key, in_digits(float(value))))
         return _Widgets(field, row([text, slider], sizing_mode="stretch_width"), text, slider)
 
     def _changed(self, key: str, text: str, *, moves: bool = False) -> None:
-        if text not in self._entered.get(key, ()):
+        if text != self._entered.get(key):
             self._entered.pop(key, None)
             self._on_change(key, text, moves)

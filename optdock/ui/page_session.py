@@ -12,41 +12,44 @@ import time
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from optdock import __version__
 from optdock.errors import InvalidValue, OptdockError
-from optdock.io.quoting import shown
 from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
+from optdock.reports.html.plan_chapter import start_relief
 from optdock.ui.curve_view import CurveView
 from optdock.ui.drawn_plan import DrawnPlan
 from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.field_view import FieldView
 from optdock.ui.floor_view import FloorView
+from optdock.ui.moved_shapes import MovedShapes, moved_shapes
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
-from optdock.ui.recorded_docking import RecordedDocking, recorded_docking
+from optdock.ui.recorded_docking import RecordedDocking
 from optdock.ui.request_process import RequestProcess
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_fields import with_field
-from optdock.ui.scene_files import inside, open_scene, worked_scenes
+from optdock.ui.scene_files import answer_files, open_scene, saved, worked_scenes
 from optdock.ui.scene_history import SceneHistory
-from optdock.ui.scene_links import from_link, to_link
+from optdock.ui.scene_links import to_link
 from optdock.ui.scene_pointer import ScenePointer
-from optdock.ui.scene_view import GHOST, SceneView
-from optdock.ui.surveyed_floor import SurveyedFloor, surveyed_floor
+from optdock.ui.scene_view import GHOSTS, SceneView
+from optdock.ui.surveyed_floor import SurveyedFloor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
     from bokeh.document import Document
 
+    from optdock.ui.opened_source import AskedPage
 
-__all__ = ["PageSession", "make_page", "open_source"]
+__all__ = ["PageSession", "make_page"]
 
 _STALE = 150  # [ms] until an answer to another scene is faded
 _LONGEST_STILL = 0.1  # [s] for which the picture may stay while the hand moves
-_LONGEST_NAME = 200  # characters of a file in the address of a page
 
 
 class PageSession:
@@ -78,11 +81,17 @@ class PageSession:
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
         self.view = SceneView(scene, variant)
-        self.curves = CurveView(self.view.source(GHOST), variant)
+        self.curves = CurveView([self.view.source(name) for name in GHOSTS], variant)
         self.fields = FieldView(self._set_field)
-        self.toolbar = PageToolbar(self)
+        calls = {
+            "Add box": lambda: self.history.add(self.view.view, is_wall=False),
+            "Add wall": lambda: self.history.add(self.view.view, is_wall=True),
+            "Cancel": self._cancel, "Drive": self.drive, "Save": self.save,
+            "Copy link": self._explain_link,
+        }  # fmt: skip
+        self.toolbar = PageToolbar(self.history, calls, self.show_scene, self.load_worked)
         self.pointer = ScenePointer(document, self.view, self.history, self.show_scene)
-        self.message, self.words = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
+        self.message, self.words, self.unlinked = (Div(text="", sizing_mode="stretch_width") for _ in range(3))
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
         document.on_event(DocumentReady, lambda _: self.view.data.connect())
@@ -102,6 +111,35 @@ class PageSession:
             if path.stem == stem:
                 self._load(open_scene(path.name, path.parent))
 
+    def save(self) -> None:
+        """Write scenario, plan file and report of the scene into the folder of the page."""
+        name, drawn, scene = self.toolbar.file_name, self.shown, self.history.scene
+        is_answered = drawn is not None and drawn.fingerprint == scene.fingerprint and drawn.outcome != "cancelled"
+        try:
+            beside = answer_files(drawn, scene, name) if drawn is not None and is_answered else {}
+            files = saved(scene, name, self.folder, overwrite=self.toolbar.is_replacing, beside=beside)
+            self.say(f"saved: {', '.join(file.name for file in files)}")
+        except OptdockError as error:
+            self.say(str(error), is_bad=True)
+
+    def _show_link(self) -> None:
+        """Let the address of the page contain the scene, or show the reason why it cannot."""
+        link, reason = "", ""
+        try:
+            link = to_link(self.history.scene, self.folder)
+        except InvalidValue as error:
+            reason = f"{error}; save the scenario: a reload or a lost connection loses changes that are not saved"
+        self.toolbar.link.text = link
+        self.unlinked.text = f'<p role="note" class="unlinked">{escape(reason)}</p>' if reason else ""
+
+    def _explain_link(self) -> None:
+        with_map = self.history.scene.problem.costmap is not None
+        words = ", without its map; it opens in the same folder" if with_map else ""
+        if self.toolbar.link.text:
+            self.say(f"The address of this page contains the scene{words}.")
+        else:
+            self.say("This scene has no link; save it instead.", is_bad=True)
+
     def _load(self, scene: EditedScene) -> None:
         self.view.look_at(view_of(scene.problem, []), extends=False)
         self.history.edit(lambda _: scene)
@@ -113,6 +151,9 @@ class PageSession:
         self.process.ask_drive(scene.scenario, self._number, scene.fingerprint)
         with self._one_message():
             self._show_status("driving")
+
+    def _cancel(self) -> None:
+        self.process.cancel()
 
     def show_scene(self) -> None:
         """Draw the scene and the selected part."""
@@ -144,7 +185,7 @@ class PageSession:
                 self.view.show_ghost(visible=False)  # it stands on the path of an earlier scene
             else:
                 self.fields.show(self.history.scene)
-                self.toolbar.link.text = _link_to(self.history.scene)
+                self._show_link()
 
     def _ask(self, *, in_hand: bool) -> None:
         scene = self.history.scene
@@ -202,10 +243,18 @@ class PageSession:
         self.view.show_answer(drawn)
         if not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
-            self.curves.show(drawn.motion, drawn.outline)
+            self.curves.show(drawn.motion, self._moved(drawn))
             self.view.show_ghost(visible=True)
             self.words.text = answer_html(drawn)
             self._show_recorded(drawn)
+
+    def _moved(self, drawn: DrawnPlan) -> MovedShapes:
+        """Return the shapes that the player moves along the motion of an answer; of an older scene, only the robot."""
+        scene = self.history.scene
+        if drawn.fingerprint != scene.fingerprint:
+            return MovedShapes(drawn.outline, np.zeros((0, 2)), 0.0 * drawn.outline, np.zeros(0))
+        poses = drawn.motion.poses if drawn.motion is not None and drawn.outcome == "certified" else None
+        return moved_shapes(scene.problem, poses, start_relief(drawn.file))
 
     def _show_recorded(self, drawn: DrawnPlan) -> None:
         """Play the recorded docking instead of the plan for its scene."""
@@ -213,7 +262,7 @@ class PageSession:
         if recorded is None or drawn.fingerprint != recorded.scene.fingerprint:
             return
         self.view.show_drive(recorded.poses, recorded.detections)
-        self.curves.show_player(recorded.times, recorded.poses, drawn.outline, recorded.states)
+        self.curves.show_player(recorded.times, recorded.poses, moved_shapes(recorded.scene.problem), recorded.states)
         self.say(f"recorded: {recorded.ending}")
 
     def _show_drive(self, drive: DrivenPlan) -> None:
@@ -223,7 +272,7 @@ class PageSession:
         self._show_status("")
         self.view.show_drive(drive.poses)
         if len(drive.times):
-            self.curves.show_player(drive.times, drive.poses, scene.problem.robot.footprint.vertices)
+            self.curves.show_player(drive.times, drive.poses, moved_shapes(scene.problem))
         self.say(drive_text(drive), is_bad=drive.outcome != "docked")
         if drive.outcome != "cancelled" and (self.shown is None or self.shown.fingerprint != scene.fingerprint):
             self._ask(in_hand=False)  # the drive replaced the request for the plan
@@ -245,11 +294,13 @@ class PageSession:
         roots: dict[str, Any] = {
             "scene": self.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
             "floor": self.floor.box, "data": self.data, "curve_data": curves.holder, "message": self.message,
-            "words": self.words, **self.toolbar.roots, **{f"fields_{name}": group for name, group in groups.items()},
+            "words": self.words, "unlinked": self.unlinked, **self.toolbar.roots,
+            **{f"fields_{name}": group for name, group in groups.items()},
         }  # fmt: skip
-        for name, root in roots.items():
-            root.name = name
-            self.document.add_root(root)
+        with self.document.models.freeze():  # collects the models of all roots once
+            for name, root in roots.items():
+                root.name = name
+                self.document.add_root(root)
         loader = PackageLoader("optdock.ui", "templates")
         environment = Environment(loader=loader, autoescape=False)
         self.document.template = environment.get_template("ui.html")
@@ -264,58 +315,16 @@ class PageSession:
         self.document.title = "optdock"
 
 
-def _link_to(scene: EditedScene) -> str:
-    try:
-        return to_link(scene)
-    except InvalidValue:  # a map, or a scene that is too large
-        return ""
-
-
-def make_page(document: Document, source: Path | None, folder: Path, arguments: Mapping[str, list[bytes]]) -> None:
+def make_page(document: Document, asked: AskedPage, folder: Path) -> None:
     """Fill the document of a page that was opened.
 
     Args:
         document: The document.
-        source: File with which the program was started, or None.
-        folder: Folder in which the page may read and write files.
-        arguments: Arguments of the query: `scene`, a link; `file`, a file in the folder; `theme`, `dark` or nothing.
-            An argument that is wrong becomes a message on the page with the first scene.
+        asked: Content of the page.
+        folder: Folder in which the page may write files.
     """
-    given = {name: arguments.get(name, [b""])[0].decode("utf-8", "replace") for name in ("scene", "file", "theme")}
-    fault = ""
-    try:
-        opened = _opened(source, folder, given)
-    except OptdockError as error:
-        fault = str(error)
-        try:
-            opened = open_source(source, folder)
-        except OptdockError:  # the file has changed since the program was started
-            opened = open_scene(None, folder)
+    opened = asked.opened
     scene, recorded = (opened, None) if isinstance(opened, EditedScene) else (opened.scene, opened)
-    page = PageSession(document, scene, folder, int(given["theme"] == "dark"), recorded)
-    if fault:
-        page.say(fault, is_bad=True)
-
-
-def open_source(source: str | Path | None, folder: Path) -> EditedScene | RecordedDocking | SurveyedFloor:
-    """Return the scene of a file, the docking of a log (suffix `.jsonl`), or the survey of a folder.
-
-    Raises:
-        InvalidFile: If the file cannot be read.
-        InvalidValue: If it is not inside the folder, or does not fit.
-    """
-    if source is not None and str(source).lower().endswith(".jsonl"):
-        return recorded_docking(source, folder)
-    if source is not None and (inside(source, folder) / "survey.json").is_file():
-        return surveyed_floor(source, folder)
-    return open_scene(source, folder)
-
-
-def _opened(
-    source: Path | None, folder: Path, given: Mapping[str, str]
-) -> EditedScene | RecordedDocking | SurveyedFloor:
-    if given["scene"]:
-        return from_link(given["scene"])
-    if len(given["file"]) > _LONGEST_NAME:
-        raise InvalidValue(f"file: must have at most {_LONGEST_NAME} characters, got {shown(given['file'])}")
-    return open_source(given["file"] or source, folder)
+    page = PageSession(document, scene, folder, asked.variant, recorded)
+    if asked.fault:
+        page.say(asked.fault, is_bad=True)

@@ -13,7 +13,7 @@ from optdock.executor.log import read_log
 from optdock.reports.html.drive_chapters import detected_docks
 from optdock.reports.shown_motion import thinned
 from optdock.ui.scene_edits import EditedScene
-from optdock.ui.scene_files import inside
+from optdock.ui.scene_maps import inside
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

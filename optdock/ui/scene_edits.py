@@ -19,9 +19,9 @@ from optdock.config.writing import scenario_document
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import digest
 from optdock.geometry.obstacles import ObstacleSet
-from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2, normalize_angle, transform_points
 from optdock.io.numbers import MOST_POLYGONS
+from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.ui.scene_grips import Grip, Handle, checked_place, grip_at, handles_of, part_named
 
 if TYPE_CHECKING:
@@ -59,12 +59,19 @@ class EditedScene:
         return self.scenario.problem
 
     @functools.cached_property
+    def obstacles(self) -> tuple[EditedObstacle, ...]:
+        """Whole obstacles; the convex pieces if the scenario has no polygons that match them."""
+        given, pieces = self.scenario.polygons, self.problem.obstacles
+        if given is not None:
+            whole = tuple(EditedObstacle.of(polygon, row) for row, polygon in enumerate(given))
+            if _as_set(whole).digest == pieces.digest:
+                return whole
+        return tuple(EditedObstacle.of(piece, row) for row, piece in enumerate(pieces.vertices))
+
+    @functools.cached_property
     def polygons(self) -> tuple[FloatArray, ...]:
-        """Whole obstacles, Shape (n, 2) [m] each; the convex pieces if the scenario has no polygons that match them."""
-        whole, pieces = self.scenario.polygons, self.problem.obstacles
-        if whole is not None and ObstacleSet.from_polygons(whole).digest == pieces.digest:
-            return tuple(simple_polygon(polygon, f"obstacles[{row}]") for row, polygon in enumerate(whole))
-        return tuple(simple_polygon(piece, f"obstacles[{row}]") for row, piece in enumerate(pieces.vertices))
+        """Vertices of the obstacles, Shape (n, 2) [m] each."""
+        return tuple(obstacle.vertices for obstacle in self.obstacles)
 
     @functools.cached_property
     def fingerprint(self) -> str:
@@ -73,21 +80,18 @@ class EditedScene:
         Equal scenes have equal fingerprints, and a change of any value on which the result depends gives another one.
         """
         complete = dataclasses.replace(self.scenario, default_limits=frozenset())
-        document = scenario_document(complete, obstacles=self.polygons)
-        return digest(json.dumps(_without_negative_zeros(document), sort_keys=True), *self.problem.fingerprint)
+        document = json.dumps(_without_negative_zeros(scenario_document(complete, obstacles=())), sort_keys=True)
+        return digest(document, *(obstacle.digest for obstacle in self.obstacles), *self.problem.fingerprint)
 
-    def with_problem(self, problem: DockingProblem, polygons: Sequence[FloatArray] | None = None) -> EditedScene:
-        """Return the scene with another problem.
+    def with_problem(self, problem: DockingProblem) -> EditedScene:
+        """Return the scene with another problem that has the same obstacles."""
+        return self._with(problem, self.obstacles)
 
-        Args:
-            problem: The problem.
-            polygons: Whole obstacles of the problem; None: those of this scene.
-        """
-        whole = self.polygons if polygons is None else tuple(polygons)
-        points = tuple(tuple((x, y) for x, y in polygon.tolist()) for polygon in whole)
-        scenario = dataclasses.replace(self.scenario, problem=problem, polygons=points)
+    def _with(self, problem: DockingProblem, obstacles: tuple[EditedObstacle, ...]) -> EditedScene:
+        """Return the scene with another problem whose obstacles are the given ones."""
+        scenario = dataclasses.replace(self.scenario, problem=problem, polygons=tuple(one.points for one in obstacles))
         edited = dataclasses.replace(self, scenario=scenario)
-        vars(edited)["polygons"] = whole  # known to match the problem
+        vars(edited)["obstacles"] = obstacles
         return edited
 
     def handles(self) -> tuple[Handle, ...]:
@@ -96,7 +100,7 @@ class EditedScene:
 
     @functools.cached_property
     def _handles(self) -> tuple[Handle, ...]:
-        return handles_of(self.problem, self.polygons)
+        return handles_of(self.problem, self.obstacles)
 
     def grip_at(self, x: float, y: float, reach: float) -> Grip | None:
         """Return the part that a pointer grabs, or None if no part is within reach; see `scene_grips.grip_at`.
@@ -109,7 +113,7 @@ class EditedScene:
         Raises:
             InvalidValue: If a number is not finite or out of range.
         """
-        return grip_at(self.problem, self.polygons, (x, y), reach)
+        return grip_at(self.problem, self.obstacles, (x, y), reach)
 
     def grip(self, name: str) -> Grip:
         """Return the grip of a part at the point of its handle.
@@ -117,7 +121,7 @@ class EditedScene:
         Raises:
             InvalidValue: If there is no such part.
         """
-        part_named(name, self.polygons)
+        part_named(name, self.obstacles)
         return next(Grip(name, one.x, one.y) for one in self.handles() if one.name == name)
 
     def dragged(self, grip: Grip, to: tuple[float, float]) -> EditedScene:
@@ -134,7 +138,7 @@ class EditedScene:
             InvalidValue: If there is no such part, a number is not finite or out of range, or the scene would be
                 invalid, e.g. if the edges of an obstacle would cross.
         """
-        part = part_named(grip.name, self.polygons)
+        part = part_named(grip.name, self.obstacles)
         (x, y), (x0, y0) = checked_place(to), checked_place((grip.x, grip.y))
         if (x, y) == (x0, y0):
             return self
@@ -163,7 +167,7 @@ class EditedScene:
         Raises:
             InvalidValue: As for `dragged`; also if the part is a corner.
         """
-        part = part_named(grip.name, self.polygons)
+        part = part_named(grip.name, self.obstacles)
         if part.corner is not None:
             raise InvalidValue(f"{part.name}: a corner cannot be turned")
         turn = normalize_angle(checked_place((angle, 0.0))[0])
@@ -224,10 +228,10 @@ class EditedScene:
         Raises:
             InvalidValue: If there is no such part, or it is not an obstacle or a corner of one.
         """
-        part = part_named(grip.name, self.polygons)
+        part = part_named(grip.name, self.obstacles)
         if part.owner != "obstacles":
             raise InvalidValue(f"{part.name}: start and dock cannot be removed, only obstacles")
-        return self._with_polygons([*self.polygons[: part.row], *self.polygons[part.row + 1 :]])
+        return self._with_obstacles((*self.obstacles[: part.row], *self.obstacles[part.row + 1 :]))
 
     def _pose(self, owner: str) -> Pose2:
         return self.problem.start if owner == "start" else self.problem.goal
@@ -241,17 +245,21 @@ class EditedScene:
         return self.with_problem(moved)
 
     def _with_polygon(self, row: int, vertices: FloatArray) -> EditedScene:
-        return self._with_polygons([*self.polygons[:row], vertices, *self.polygons[row + 1 :]])
+        changed = EditedObstacle.of(vertices, row)
+        return self._with_obstacles((*self.obstacles[:row], changed, *self.obstacles[row + 1 :]))
 
     def _with_added(self, vertices: FloatArray) -> EditedScene:
-        if len(self.polygons) >= MOST_POLYGONS:
+        count = len(self.obstacles)
+        if count >= MOST_POLYGONS:
             raise InvalidValue(f"obstacles: must be at most {MOST_POLYGONS} polygons; draw them into the map")
-        return self._with_polygons([*self.polygons, _rounded(vertices)])
+        return self._with_obstacles((*self.obstacles, EditedObstacle.of(_rounded(vertices), count)))
 
-    def _with_polygons(self, polygons: Sequence[FloatArray]) -> EditedScene:
-        obstacles = ObstacleSet.from_polygons(polygons)
-        whole = [simple_polygon(polygon, f"obstacles[{row}]") for row, polygon in enumerate(polygons)]
-        return self.with_problem(dataclasses.replace(self.problem, obstacles=obstacles), whole)
+    def _with_obstacles(self, obstacles: tuple[EditedObstacle, ...]) -> EditedScene:
+        return self._with(dataclasses.replace(self.problem, obstacles=_as_set(obstacles)), obstacles)
+
+
+def _as_set(obstacles: Sequence[EditedObstacle]) -> ObstacleSet:
+    return ObstacleSet.from_decomposed(obstacle.pieces for obstacle in obstacles)
 
 
 def _rounded(places: FloatArray) -> FloatArray:

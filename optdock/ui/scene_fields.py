@@ -18,7 +18,7 @@ from optdock.config import scenario_reference
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.io.numbers import check_outline, check_speed
-from optdock.io.quoting import shown
+from optdock.io.quoting import in_digits, shown
 from optdock.model.dock import DockDirection
 from optdock.model.limits import LIMITS, STEERING_UNITS
 from optdock.model.robot import Drive
@@ -68,11 +68,14 @@ class SceneField(NamedTuple):
     can_be_unlimited: bool = False
 
     def text(self, scene: EditedScene) -> str:
-        """Return the value of a scene as a text that `with_field` reads; empty if the scene has no such value."""
+        """Return the value of a scene as a text, for which `with_field` keeps all its digits.
+
+        The text is empty if the scene has no such value.
+        """
         value = self.read(scene)
         if value is None or isinstance(value, str):
             return value or ""
-        return UNLIMITED if math.isinf(value) else repr(value)
+        return UNLIMITED if math.isinf(value) else in_digits(float(value))
 
 
 def with_field(scene: EditedScene, key: str, text: str) -> EditedScene:
@@ -95,7 +98,7 @@ def with_field(scene: EditedScene, key: str, text: str) -> EditedScene:
         if known is None:
             raise InvalidValue("this scene has no such value")
         value = _value(field, text)
-        return scene if value == known else field.write(scene, value)
+        return scene if value == known or text == field.text(scene) else field.write(scene, value)
     except InvalidValue as error:
         message = f"{key}: {shown(text)}: {error}"
         raise InvalidValue(
@@ -198,7 +201,7 @@ def _with_limits(scene: EditedScene, drive: Drive, values: Mapping[str, float]) 
     free = {"max_curvature": math.inf} if is_reduced else {}
     limits = dataclasses.replace(robot.limits, **{**free, **values})
     asked = values.get("max_curvature", math.inf)
-    if limits.max_curvature < asked < math.inf:
+    if limits.max_curvature < asked < math.inf and in_digits(asked) != in_digits(limits.max_curvature):
         raise InvalidValue(f"must be <= {limits.max_curvature:.4g} 1/m, the curvature at max_steering_angle")
     turns = robot.turns_in_place and drive is Drive.DIFFERENTIAL
     edited = _changed(scene, robot=dataclasses.replace(robot, limits=limits, drive=drive, turns_in_place=turns))

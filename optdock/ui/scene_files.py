@@ -1,7 +1,7 @@
 """Scenes that are read from files and written to files of one folder.
 
-Names of files may come from the page, so every file is inside the folder after links and `..` have been resolved: the
-named file, the map of a scenario and the image of a map.
+Names of files may come from the page, so every file is checked by `inside`: the named file, the map of a scenario and
+the image of a map.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -19,31 +20,32 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.config import demo_scenario, load_scenario, save_scenario
+from optdock.config.scenario import parse_scenario
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.atomic_file import replacing
-from optdock.io.guarded_file import is_regular
-from optdock.io.maps import load_map
+from optdock.io.guarded_file import MostBytes, is_regular, read_text
 from optdock.io.plan_file import load_plan
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
-from optdock.model.costs import LETHAL, NO_INFORMATION
+from optdock.model.costmap import LETHAL, Costmap
 from optdock.model.dock import DockDirection
 from optdock.planning.failures import check_ends
 from optdock.survey.dock_places import along_walls
 from optdock.survey.grid import Box
 from optdock.ui.scene_edits import EditedScene, rounded_pose
+from optdock.ui.scene_maps import inside, is_inside, known_costmap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.config import Scenario
     from optdock.geometry.arrays import BoolArray, FloatArray
-    from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
+    from optdock.ui.drawn_plan import DrawnPlan
 
-__all__ = ["inside", "open_scene", "saved", "worked_scenes"]
+__all__ = ["answer_files", "open_scene", "saved", "worked_scenes"]
 
 _NAME = re.compile(r"[^\W_][\w .+-]{0,99}", re.ASCII)
 _MOST_SCENARIOS = 200  # that are compared with a plan
@@ -51,6 +53,7 @@ _SCALES = (1.0, 0.5, 0.25)  # of the built-in robot on a map
 _WALL_SPACING = 0.5  # [m] between proposed docks
 _WALL_REACH = 3.0  # [m] beyond the nearest wall, for proposed docks
 _LEAST_APART = 3.0  # circumscribed radii between a proposed dock and start, at least
+_MOST_CELLS = 1_000_000  # in which free places are searched first
 _START_DISTANCE = 4.0  # [m] from the dock to a proposed start, at most
 
 
@@ -75,14 +78,13 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
             plan.
     """
     if source is None:
-        return EditedScene(load_scenario(demo_scenario()))
+        return _scene_of_scenario(demo_scenario(), demo_scenario().parent)
     file = inside(source, folder)
     if file.suffix.lower() == ".json":
         return _scene_of_plan(file, Path(folder))
     content = load_yaml(file).value
     if isinstance(content, Mapping) and "image" in content and "robot" not in content:
-        _named_in(content, "image", file, folder)
-        return EditedScene(_placed_on(file), file)
+        return EditedScene(_placed_on(file, known_costmap(file, folder)), file)
     return _scene_of_scenario(file, folder)
 
 
@@ -117,7 +119,7 @@ def saved(
     if not name.lower().endswith((".yaml", ".yml")):
         name = f"{name}.yaml"
     target = Path(folder) / name
-    source = scene.map_source if scene.map_source is not None and _is_inside(scene.map_source, folder) else None
+    source = scene.map_source if scene.map_source is not None and is_inside(scene.map_source, folder) else None
     drawn = (
         []
         if scene.problem.costmap is None
@@ -134,40 +136,33 @@ def saved(
         return (*save_scenario(target, scene.scenario, obstacles=scene.polygons, map_source=source), *others)
 
 
-def _is_inside(file: str | Path, folder: str | Path) -> bool:
-    """Whether a file, whose name is relative to the folder or absolute, is inside the folder."""
-    try:
-        root = Path(folder).resolve(strict=True)
-        return (root / file).resolve().is_relative_to(root)
-    except (OSError, ValueError, RuntimeError):  # no folder; a null byte; a loop of links
-        return False
+def answer_files(drawn: DrawnPlan, scene: EditedScene, name: str) -> dict[str, Callable[[Path], object]]:
+    """Return functions that write the plan file and the report of an answer, by their suffixes, for `saved`.
 
-
-def inside(file: str | Path, folder: str | Path) -> Path:
-    """Return the path of a file.
-
-    Raises:
-        InvalidValue: If the file is not inside the folder.
+    Args:
+        drawn: The answer to the scene.
+        scene: The scene.
+        name: Name of the file of the scene.
     """
-    if not (isinstance(file, str | Path) and _is_inside(file, folder)):
-        raise InvalidValue(f"file: {shown(str(file))} is not in the folder of optdock ui, {shown(str(folder))}")
-    return Path(folder).resolve() / file
+    from optdock.reports.html import plan_chapter, save_report
 
-
-def _named_in(content: Mapping[str, object], key: str, file: Path, folder: str | Path) -> Path | None:
-    """Return the file that is the value of a key, relative to the file with the key; None if there is none."""
-    name = content.get(key)
-    return inside(file.parent / name, folder) if isinstance(name, str) else None
+    text, file, stem = drawn.plan_text, drawn.plan_file, name.removesuffix(".yaml").removesuffix(".yml")
+    return {
+        ".json": lambda path: path.write_text(text, encoding="utf-8"),
+        ".html": lambda path: save_report(path, stem, [plan_chapter(f"{stem}.json", file, scene.problem)]),
+    }
 
 
 def _scene_of_scenario(file: Path, folder: str | Path) -> EditedScene:
-    content = load_yaml(file).value
-    source = _named_in(content, "map", file, folder) if isinstance(content, Mapping) else None
-    if source is not None:
-        map_content = load_yaml(source).value
-        if isinstance(map_content, Mapping):
-            _named_in(map_content, "image", source, folder)
-    return EditedScene(load_scenario(file), source)
+    source: Path | None = None
+
+    def costmap_of(name: str) -> Costmap:
+        nonlocal source
+        source = inside(file.parent / name, folder)
+        return known_costmap(source, folder)
+
+    scenario = parse_scenario(read_text(file, MostBytes.YAML), str(file), costmap_of)
+    return EditedScene(scenario, source)
 
 
 def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
@@ -187,19 +182,20 @@ def _scene_of_plan(file: Path, folder: Path) -> EditedScene:
 def _scenes_beside(file: Path, folder: Path) -> Iterator[EditedScene]:
     """Yield the scenes of the scenarios in the folder of a plan file, that of its name first."""
     files = [*file.parent.glob("*.yaml"), *file.parent.glob("*.yml")]
-    readable = [one for one in sorted(files) if is_regular(one) and _is_inside(one, folder)]
+    readable = [one for one in sorted(files) if is_regular(one) and is_inside(one, folder)]
     for candidate in sorted(readable, key=lambda one: one.stem != file.stem)[:_MOST_SCENARIOS]:
         with suppress(InvalidFile, InvalidValue):  # other kinds of files
             yield _scene_of_scenario(candidate, folder)
 
 
-def _placed_on(source: Path) -> Scenario:
+@lru_cache(maxsize=4)
+def _placed_on(source: Path, costmap: Costmap) -> Scenario:
     """Return the built-in scenario on a map, with dock and start in free places of the map.
 
     If the map has none for the robot, robot and station are smaller.
     """
     scenario = load_scenario(demo_scenario())
-    problem = dataclasses.replace(scenario.problem, costmap=load_map(source).costmap.frozen())
+    problem = dataclasses.replace(scenario.problem, costmap=costmap)
     for scale in _SCALES:
         placed = _with_free_places(_scaled(problem, scale))
         if placed is not None:
@@ -219,14 +215,36 @@ def _scaled(problem: DockingProblem, scale: float) -> DockingProblem:
 
 def _with_free_places(problem: DockingProblem) -> DockingProblem | None:
     """Return the problem with dock and start in free places of its map; None if there are none."""
-    if problem.costmap is None:
+    costmap = problem.costmap
+    if costmap is None:
         return None
-    is_reachable, room = _free_places(problem, problem.costmap)
+    block = math.ceil(math.sqrt(costmap.data.size / _MOST_CELLS))
+    for cells in dict.fromkeys((_blocks(costmap, block), costmap)):  # one if a block is a cell
+        placed = _with_places_on(cells, problem)
+        if placed is not None:
+            return placed
+    return None
+
+
+def _blocks(costmap: Costmap, block: int) -> Costmap:
+    """Return a costmap of square blocks of cells, in which blocks with a blocked cell are blocked."""
+    if block <= 1:
+        return costmap
+    rows, columns = (-(-count // block) for count in costmap.data.shape)
+    blocked = np.ones((rows * block, columns * block), dtype=np.bool_)  # also outside of the map
+    blocked[: costmap.rows, : costmap.columns] = costmap.data >= LETHAL
+    cells = np.where(blocked.reshape(rows, block, columns, block).any(axis=(1, 3)), LETHAL, 0)
+    return Costmap(cells.astype(np.uint8), block * costmap.resolution, costmap.origin)
+
+
+def _with_places_on(cells: Costmap, problem: DockingProblem) -> DockingProblem | None:
+    """Return the problem with dock and start in places that are free in `cells`, which block no less than its map."""
+    is_reachable, room = _free_places(problem, cells)
     if not is_reachable.any():
         return None
-    for dock in _dock_poses(problem, problem.costmap, is_reachable, room):
-        start = _start_pose(dock, problem.costmap, is_reachable, room)
-        if start.distance_to(dock) < _LEAST_APART * problem.robot.footprint.circumscribed_radius:
+    for dock in _dock_poses(problem, cells, is_reachable, room):
+        start = _start_pose(dock, cells, is_reachable, room)
+        if start is None or start.distance_to(dock) < _LEAST_APART * problem.robot.footprint.circumscribed_radius:
             continue
         placed = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=dock), start=start)
         with suppress(OptdockError):
@@ -235,44 +253,57 @@ def _with_free_places(problem: DockingProblem) -> DockingProblem | None:
     return None
 
 
-def _free_places(problem: DockingProblem, costmap: Costmap) -> tuple[BoolArray, FloatArray]:
+def _free_places(problem: DockingProblem, cells: Costmap) -> tuple[BoolArray, FloatArray]:
     """Return the largest connected set of cells on which the robot can turn, and the room of every cell [m].
 
     Shape (rows, columns) each.
     """
     from scipy import ndimage
 
-    is_free = np.pad((costmap.data != LETHAL) & (costmap.data != NO_INFORMATION), 1)
-    room: FloatArray = ndimage.distance_transform_edt(is_free)[1:-1, 1:-1] * costmap.resolution
-    needed = problem.robot.footprint.circumscribed_radius + problem.clearance.required + costmap.resolution
+    is_free = np.pad(cells.data < LETHAL, 1)
+    room: FloatArray = ndimage.distance_transform_edt(is_free)[1:-1, 1:-1] * cells.resolution
+    needed = problem.robot.footprint.circumscribed_radius + problem.clearance.required + cells.resolution
     labels, count = ndimage.label(room >= needed)
     largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=2)[1:])) if count else -1
     return labels == largest, room
 
 
-def _dock_poses(
-    problem: DockingProblem, costmap: Costmap, is_reachable: BoolArray, room: FloatArray
-) -> Iterator[Pose2]:
+def _dock_poses(problem: DockingProblem, cells: Costmap, is_reachable: BoolArray, room: FloatArray) -> Iterator[Pose2]:
     """Yield docks at walls near the roomiest reachable place, the nearest first, and then the place itself."""
     row, column = np.unravel_index(np.argmax(np.where(is_reachable, room, 0.0)), room.shape)
-    x, y = costmap.centre_of(np.array([[column, row]]))[0].tolist()
+    x, y = cells.centre_of([[column, row]])[0].tolist()
     reach = float(room[row, column]) + _WALL_REACH
-    walls = along_walls(problem, _WALL_SPACING, Box(x - reach, y - reach, x + reach, y + reach))
+    near = dataclasses.replace(problem, costmap=_part(problem.costmap or cells, (x, y), reach + _WALL_REACH))
+    walls = along_walls(near, _WALL_SPACING, Box(x - reach, y - reach, x + reach, y + reach))
     before = -2.0 * problem.robot.footprint.circumscribed_radius
     before = -before if problem.dock.direction is DockDirection.BACKWARD else before
     for place in sorted(walls, key=lambda one: math.hypot(one.pose.x - x, one.pose.y - y)):
-        cell = costmap.cell_of((place.pose @ Pose2(before, 0.0, 0.0)).as_array()[None, :2])
-        if bool(costmap.has_cell(cell)[0]) and is_reachable[cell[0, 1], cell[0, 0]]:
+        cell = cells.cell_of((place.pose @ Pose2(before, 0.0, 0.0)).as_array()[None, :2])
+        if bool(cells.has_cell(cell)[0]) and is_reachable[cell[0, 1], cell[0, 0]]:
             yield rounded_pose(place.pose.x, place.pose.y, place.pose.yaw)
     yield rounded_pose(x, y, 0.0)
 
 
-def _start_pose(dock: Pose2, costmap: Costmap, is_reachable: BoolArray, room: FloatArray) -> Pose2:
-    """Return the roomiest reachable pose that is about `_START_DISTANCE` from a dock and heads for it."""
-    rows, columns = np.nonzero(is_reachable)
-    centres = costmap.centre_of(np.column_stack((columns, rows)))
+def _part(costmap: Costmap, centre: tuple[float, float], reach: float) -> Costmap:
+    """Return the part of a costmap within a reach of a point along x and y [m]."""
+    x, y = centre
+    corners = costmap.cell_of([[x - reach, y - reach], [x + reach, y + reach]])
+    (left, low), (right, high) = np.clip(corners, 0, [costmap.columns, costmap.rows]).tolist()
+    origin = costmap.origin[0] + costmap.resolution * left, costmap.origin[1] + costmap.resolution * low
+    return Costmap(costmap.data[low : high + 1, left : right + 1], costmap.resolution, origin)
+
+
+def _start_pose(dock: Pose2, cells: Costmap, is_reachable: BoolArray, room: FloatArray) -> Pose2 | None:
+    """Return the roomiest reachable pose that is about `_START_DISTANCE` from a dock and heads for it; None if none."""
+    (column, row), reach = cells.cell_of([[dock.x, dock.y]])[0], math.ceil(_START_DISTANCE / cells.resolution)
+    low, left = max(0, row - reach), max(0, column - reach)
+    near = slice(low, row + reach + 1), slice(left, column + reach + 1)
+    rows, columns = np.nonzero(is_reachable[near])
+    if rows.size == 0:
+        return None
+    centres = cells.centre_of(np.column_stack((columns + left, rows + low)))
     distance = np.hypot(centres[:, 0] - dock.x, centres[:, 1] - dock.y)
     far = min(_START_DISTANCE, float(distance.max()))
-    best = np.argmax(np.where((distance <= far) & (distance >= 0.7 * far), room[rows, columns], 0.0))
+    best = np.argmax(np.where((distance <= far) & (distance >= 0.7 * far), room[near][rows, columns], 0.0))
     x, y = centres[best].tolist()
     return rounded_pose(x, y, math.atan2(dock.y - y, dock.x - x))

@@ -17,6 +17,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.io.quoting import shown
+from optdock.ui.edited_obstacle import disc_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.model.problem import DockingProblem
+    from optdock.ui.edited_obstacle import EditedObstacle
 
 __all__ = ["Grip", "Handle", "ScenePart", "checked_place", "grip_at", "handles_of", "part_named"]
 
@@ -97,19 +99,19 @@ class _Candidate(NamedTuple):
     part: ScenePart
 
 
-def part_named(name: str, polygons: Sequence[FloatArray]) -> ScenePart:
+def part_named(name: str, obstacles: Sequence[EditedObstacle]) -> ScenePart:
     """Return the part of a name, which may be any text from the page.
 
     Args:
         name: Name of the part.
-        polygons: Obstacles of the scene, Shape (n, 2) [m] each.
+        obstacles: Obstacles of the scene.
 
     Raises:
         InvalidValue: If the scene has no such part.
     """
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     part = None if match is None else ScenePart(match[1] or "obstacles", bool(match[2]), *_numbers(match))
-    if part is None or (part.owner == "obstacles" and not _exists(part, polygons)):
+    if part is None or (part.owner == "obstacles" and not _exists(part, obstacles)):
         raise InvalidValue(f"grip: the scene has no part {shown(name)}")
     return part
 
@@ -118,31 +120,32 @@ def _numbers(match: re.Match[str]) -> tuple[int, int | None]:
     return int(match[3] or 0), None if match[4] is None else int(match[4])
 
 
-def _exists(part: ScenePart, polygons: Sequence[FloatArray]) -> bool:
-    return part.row < len(polygons) and (part.corner is None or part.corner < len(polygons[part.row]))
+def _exists(part: ScenePart, obstacles: Sequence[EditedObstacle]) -> bool:
+    return part.row < len(obstacles) and (part.corner is None or part.corner < len(obstacles[part.row].points))
 
 
-def handles_of(problem: DockingProblem, polygons: Sequence[FloatArray]) -> tuple[Handle, ...]:
+def handles_of(problem: DockingProblem, obstacles: Sequence[EditedObstacle]) -> tuple[Handle, ...]:
     """Return the parts of a scene, the smallest kinds first, each with a point at which it is grabbed.
 
     A part whose point is covered by an earlier part is grabbed at its other points.
 
     Args:
         problem: The problem.
-        polygons: Its obstacles, Shape (n, 2) [m] each.
+        obstacles: Its obstacles.
     """
     turning = (_turning_handle(problem, owner) for owner in ("start", "dock"))
     corners = (
-        Handle(ScenePart("obstacles", row=row, corner=i).name, float(x), float(y), _corner_radius(polygon, i))
-        for row, polygon in enumerate(polygons)
-        for i, (x, y) in enumerate(polygon)
+        Handle(f"obstacles[{row}].corners[{i}]", x, y, radius)
+        for row, obstacle in enumerate(obstacles)
+        for i, ((x, y), radius) in enumerate(zip(obstacle.points, _corner_radii(obstacle).tolist(), strict=True))
     )
-    bodies = (_body_handle(part.name, shape) for part, shape in _bodies(problem, polygons))
-    return (*turning, *corners, *bodies)
+    robots = (Handle(owner, *disc_of(shape)) for owner, shape in _robots(problem))
+    bodies = (Handle(f"obstacles[{row}]", *obstacle.disc) for row, obstacle in enumerate(obstacles))
+    return (*turning, *corners, *robots, *bodies)
 
 
 def grip_at(
-    problem: DockingProblem, polygons: Sequence[FloatArray], place: tuple[float, float], reach: float
+    problem: DockingProblem, obstacles: Sequence[EditedObstacle], place: tuple[float, float], reach: float
 ) -> Grip | None:
     """Return the part that a pointer grabs, or None if no part is within reach.
 
@@ -152,7 +155,7 @@ def grip_at(
 
     Args:
         problem: The problem.
-        polygons: Its obstacles, Shape (n, 2) [m] each.
+        obstacles: Its obstacles.
         place: Pointer [m].
         reach: Tolerance of the pointer, >= 0 [m].
 
@@ -162,8 +165,8 @@ def grip_at(
     x, y = checked_place(place)
     if finite_number(reach, "reach") < 0.0:
         raise InvalidValue(f"reach: must be >= 0 m, got {reach}")
-    small = [*_turning_within(problem, x, y, reach), *_corners_within(polygons, x, y, reach)]
-    found = small or [*_bodies_within(problem, polygons, x, y, reach)]
+    small = [*_turning_within(problem, x, y, reach), *_corners_within(obstacles, x, y, reach)]
+    found = small or [*_bodies_within(problem, obstacles, x, y, reach)]
     return Grip(min(found, key=lambda one: one[:2]).part.name, x, y) if found else None
 
 
@@ -193,21 +196,22 @@ def _turning_within(problem: DockingProblem, x: float, y: float, reach: float) -
             yield _Candidate(0, distance, ScenePart(owner, is_heading=True))
 
 
-def _corners_within(polygons: Sequence[FloatArray], x: float, y: float, reach: float) -> Iterator[_Candidate]:
-    for row, polygon in enumerate(polygons):
-        distances = np.hypot(polygon[:, 0] - x, polygon[:, 1] - y)
-        for corner in np.flatnonzero(distances <= reach + _CORNER_RADIUS).tolist():
-            distance, longer = float(distances[corner]), max(_edges_at(polygon, corner))
-            if distance <= min(reach + _corner_radius(polygon, corner), longer / 3.0):
-                yield _Candidate(1, distance, ScenePart("obstacles", row=row, corner=corner))
+def _corners_within(obstacles: Sequence[EditedObstacle], x: float, y: float, reach: float) -> Iterator[_Candidate]:
+    for row, obstacle in enumerate(obstacles):
+        distances = np.hypot(obstacle.vertices[:, 0] - x, obstacle.vertices[:, 1] - y)
+        within = np.minimum(reach + _corner_radii(obstacle), obstacle.longer_edges / 3.0)
+        for corner in np.flatnonzero(distances <= within).tolist():
+            yield _Candidate(1, float(distances[corner]), ScenePart("obstacles", row=row, corner=corner))
 
 
 def _bodies_within(
-    problem: DockingProblem, polygons: Sequence[FloatArray], x: float, y: float, reach: float
+    problem: DockingProblem, obstacles: Sequence[EditedObstacle], x: float, y: float, reach: float
 ) -> Iterator[_Candidate]:
     import shapely
 
-    parts, shapes = zip(*_bodies(problem, polygons), strict=True)
+    robots = [(ScenePart(owner), shape) for owner, shape in _robots(problem)]
+    bodies = [(ScenePart("obstacles", row=row), obstacle.shape) for row, obstacle in enumerate(obstacles)]
+    parts, shapes = zip(*robots, *bodies, strict=True)
     distances = shapely.distance(np.array(shapes), shapely.Point(x, y))
     for row in np.flatnonzero(distances <= reach).tolist():
         # Later obstacles are drawn above earlier ones, so of those under the pointer the last one is grabbed.
@@ -215,37 +219,22 @@ def _bodies_within(
         yield _Candidate(rank, float(distances[row]) or -float(row), parts[row])
 
 
-def _bodies(problem: DockingProblem, polygons: Sequence[FloatArray]) -> Iterator[tuple[ScenePart, BaseGeometry]]:
-    """Yield the robot at the start, the docked robot with its station, and the obstacles."""
+def _robots(problem: DockingProblem) -> Iterator[tuple[str, BaseGeometry]]:
+    """Yield the robot at the start, and the docked robot with its station."""
     import shapely
 
     robot, station = problem.robot.footprint, problem.dock.footprint
-    yield ScenePart("start"), _placed(robot, problem.start)
+    yield "start", _placed(robot, problem.start)
     docked = _placed(robot, problem.goal)
-    yield ScenePart("dock"), docked if station is None else shapely.union(docked, _placed(station, problem.goal))
-    for row, polygon in enumerate(polygons):
-        yield ScenePart("obstacles", row=row), shapely.Polygon(polygon)
+    yield "dock", docked if station is None else shapely.union(docked, _placed(station, problem.goal))
 
 
-def _edges_at(polygon: FloatArray, corner: int) -> tuple[float, float]:
-    """Return the lengths of the edges before and after a corner [m]."""
-    before, at, after = polygon[corner - 1], polygon[corner], polygon[(corner + 1) % len(polygon)]
-    return float(np.hypot(*(at - before))), float(np.hypot(*(after - at)))
-
-
-def _corner_radius(polygon: FloatArray, corner: int) -> float:
-    return min(_CORNER_RADIUS, max(_edges_at(polygon, corner)) / 6.0)
+def _corner_radii(obstacle: EditedObstacle) -> FloatArray:
+    radii: FloatArray = np.minimum(_CORNER_RADIUS, obstacle.longer_edges / 6.0)
+    return radii
 
 
 def _placed(footprint: Footprint, pose: Pose2) -> BaseGeometry:
     import shapely
 
     return shapely.Polygon(transform_points(pose.as_array()[None], footprint.vertices)[0])
-
-
-def _body_handle(name: str, shape: BaseGeometry) -> Handle:
-    import shapely
-
-    at = shapely.point_on_surface(shape)
-    x, y = shapely.get_coordinates(at)[0].tolist()
-    return Handle(name, x, y, float(shapely.hausdorff_distance(at, shape)))

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.ui.drawn_plan import DrawnPlan
+    from optdock.ui.edited_obstacle import EditedObstacle
     from optdock.ui.scene_edits import EditedScene
 
-__all__ = ["GHOST", "SceneView", "margin_colours"]
+__all__ = ["GHOSTS", "SceneView", "margin_colours"]
 
-GHOST = "ghost"  # name of the robot that the player moves
+GHOSTS = ("ghost", "ghost cone", "ghost tube")  # layers that the player moves: robot, view of its camera, tube
 _WIDE = 0.3  # [m]: margins from here on have the colour of a free robot
 _SCALE = ("#C8102E", "#E8730C", "#E8C20C", "#56B45D", "#2F89BD")  # of margins from 0 to `_WIDE`
 _USUAL_WIDTH = 800  # [px]
@@ -52,6 +53,7 @@ class SceneView:
         from bokeh.models import ColumnDataSource, CustomJS, PointDrawTool
 
         self._variant = variant
+        self._obstacles: tuple[EditedObstacle, ...] | None = None  # that are drawn
         self.axes = axes_of(
             "x [m]",
             "y [m]",
@@ -138,15 +140,17 @@ class SceneView:
         station = problem.dock.footprint
         at = problem.goal.as_array()[None]
         self.data.put("station", _shapes([] if station is None else transform_points(at, station.vertices)))
-        self.data.put("obstacles", _shapes(scene.polygons))
+        if scene.obstacles is not self._obstacles:  # converting hundreds of them takes 5 ms
+            self._obstacles = scene.obstacles
+            self.data.put("obstacles", _shapes(scene.polygons))
         handles = [one for one in scene.handles() if one.name.endswith(("heading", "]")) or one.name == selected]
         inks = [self.ink(_GRIPS[one.name.partition(".")[0].partition("[")[0]]) for one in handles]
         self.data.put(
             "grips",
             {
-                "x": [one.x for one in handles],
-                "y": [one.y for one in handles],
-                "radius": [min(one.radius, 0.12) for one in handles],
+                "x": np.array([one.x for one in handles]),
+                "y": np.array([one.y for one in handles]),
+                "radius": np.array([min(one.radius, 0.12) for one in handles]),
                 "fill": inks,
                 "line": [
                     self.ink("hot") if one.name == selected else ink for one, ink in zip(handles, inks, strict=True)
@@ -181,8 +185,9 @@ class SceneView:
             self.data.put("detections", _line(detections))
 
     def show_ghost(self, *, visible: bool) -> None:
-        """Show or hide the robot that the player moves."""
-        self._ghost.visible = visible
+        """Show or hide the robot that the player moves, with the view of its camera and its tube."""
+        for ghost in self._ghosts:
+            ghost.visible = visible
 
     def fade(self, *, faded: bool) -> None:
         """Draw the answer faintly, because it belongs to another scene, or normally."""
@@ -219,7 +224,11 @@ class SceneView:
             edge: dict[str, Any] = {"line_color": ink(colour), "line_width": 2.0}
             self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
             self._add(f"{name} nose", "MultiLine", area, **edge)
-        self._ghost = self._add(GHOST, "Patch", line, fill_color=ink("robot"), fill_alpha=0.6, line_color=ink("ink"))
+        robot: dict[str, Any] = {"fill_color": ink("robot"), "fill_alpha": 0.6, "line_color": ink("ink")}
+        cone: dict[str, Any] = {"fill_color": ink("raw"), "fill_alpha": 0.15, "line_color": ink("raw")}
+        tube: dict[str, Any] = {"fill_alpha": 0.0, "line_color": ink("ink"), "line_dash": "dotted"}
+        styles = zip(GHOSTS, (robot, cone, tube), strict=True)
+        self._ghosts = [self._add(name, "Patch", line, **style) for name, style in styles]
         disc: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.io.quoting import shown
-from optdock.ui.page_session import make_page, open_source
+from optdock.ui.opened_source import asked_page, open_source
+from optdock.ui.page_session import make_page
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bokeh.application.application import SessionContext
     from bokeh.document import Document
     from bokeh.server.server import Server
+
+    from optdock.ui.opened_source import AskedPage
 
 __all__ = ["page_server"]
 
@@ -43,22 +48,34 @@ def page_server(source: Path | None, folder: Path, port: int = 0, address: str =
         raise MissingExtra("the page needs Bokeh: pip install 'optdock[ui]'") from error
     _check_address(address)
     open_source(source, folder)  # so that errors are reported here and not in the browser
+    asked: dict[str, AskedPage] = {}
     pages: list[Document] = []
 
+    async def prepare(context: SessionContext) -> None:
+        """Open the content of a page in a thread, so that a large map does not delay the other pages."""
+        if len(pages) < _MOST_PAGES:
+            arguments = dict(getattr(context.request, "arguments", {}))
+            asked[context.id] = await asyncio.to_thread(asked_page, source, folder, arguments)
+
     def opened(document: Document) -> None:
+        context = document.session_context
+        content = asked.pop(context.id, None) if context is not None else None
         if len(pages) >= _MOST_PAGES:
-            _refuse(document)
+            _refuse(document, f"{_MOST_PAGES} pages are open already; close one of them and reload this page.")
             return
-        request = document.session_context.request if document.session_context is not None else None
-        make_page(document, source, folder, dict(request.arguments) if request is not None else {})
+        if content is None:
+            _refuse(document, "The page cannot be opened; the output of the program contains the reason.")
+            return
+        make_page(document, content, folder)
         pages.append(document)
         document.on_session_destroyed(lambda _: pages.remove(document))
 
-    application = Application(FunctionHandler(opened))
+    handler = FunctionHandler(opened)
+    handler.on_session_created = prepare
     try:
         port = _free_port(address, port)
         server = Server(
-            {"/": application},
+            {"/": Application(handler)},
             port=port,
             address=address,
             # Only pages that were opened through this address may open a session.
@@ -90,7 +107,7 @@ def _free_port(address: str, port: int) -> int:
         return int(listening.getsockname()[1])
 
 
-def _refuse(document: Document) -> None:
+def _refuse(document: Document, words: str) -> None:
     from bokeh.models import Div
 
-    document.add_root(Div(text=f"{_MOST_PAGES} pages are open already; close one of them and reload this page."))
+    document.add_root(Div(text=words))

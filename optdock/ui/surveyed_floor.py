@@ -13,7 +13,7 @@ from optdock.geometry.pose import Pose2
 from optdock.survey.rounds import CellState
 from optdock.survey.survey import open_survey
 from optdock.ui.scene_edits import EditedScene
-from optdock.ui.scene_files import inside
+from optdock.ui.scene_maps import inside
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,6 +19,7 @@ if missing():
     pytest.skip(f"the test of the page {missing()}", allow_module_level=True)
 
 PICTURES = ROOT / "results" / "ui"
+SCENE = next(path for path in worked_scenes() if path.stem == "reverse_bay").read_text()
 NEAR = 12  # of 255, difference of colours that count as equal
 HOSTILE = "<script>window.taken = 1</script><img src=x onerror='window.taken = 1'>"
 # Elements of hostile texts, also inside widgets.
@@ -259,7 +260,7 @@ def test_hostile_names_are_refused_and_remain_text(page, program):
         page.wait_for_message("must be letters")
         assert page.page.evaluate(INTRUDERS) == [0, 0]
         page.click("Copy link")
-        page.wait_for_message("save it instead")
+        page.wait_for_message("contains the scene")
     assert sorted(program.folder.iterdir()) == before
 
 
@@ -373,15 +374,17 @@ def test_two_tabs_are_independent(page, opened):
     assert other.errors == []
 
 
-def test_the_address_contains_the_scene(page, opened):
-    state = page.state
-    page.choose("scene", "reverse_bay")
-    page.settle_after(state)
+@pytest.mark.parametrize(("stem", "version"), [("reverse_bay", "1."), ("", "2.")])
+def test_the_address_contains_the_scene(page, opened, stem, version):
+    if stem:
+        state = page.state
+        page.choose("scene", stem)
+        page.settle_after(state)
     state = page.state
     page.click("→")
     page.settle_after(state)
     edited = page.state
-    page.wait("() => new URL(location).searchParams.get('scene')?.startsWith('1.')")
+    page.wait("(version) => new URL(location).searchParams.get('scene')?.startsWith(version)", version)
     address = page.page.url
     page.page.reload()
     page.settle()
@@ -405,14 +408,22 @@ def test_a_hostile_address_shows_a_message_and_the_first_scene(opened, query):
     assert page.errors == []
 
 
-def test_a_lost_connection_is_reported(opened, tmp_path):
+def test_a_lost_connection_is_reported_with_the_fate_of_the_scene(opened, tmp_path):
     (tmp_path / "own").mkdir()
+    far = [[[20.0 + 1e-6 * k**2, 20.0 + k], [20.5, 20.0 + k], [20.0, 20.1234567 + k]] for k in range(1200)]
+    text = f"{SCENE.partition('obstacles:')[0]}obstacles: {far}\nrobot:{SCENE.partition('robot:')[2]}"
+    (tmp_path / "own" / "large.yaml").write_text(text)
     program = Program(tmp_path / "own")
     try:
-        page = opened(url=program.url)
+        page, large = opened(url=program.url), opened("?file=large.yaml", url=program.url)
         assert not page.page.is_visible("#lost")
+        assert not page.page.is_visible(".unlinked")
+        assert "save the scenario" in large.page.inner_text(".unlinked")
         program.kill()
-        page.page.wait_for_selector("#lost", state="visible")
+        for one, fate in ((page, "opens this scene again"), (large, "not saved are lost")):
+            one.page.wait_for_selector("#lost", state="visible")
+            assert fate in one.page.inner_text("#lost")
+            assert len(one.page.inner_text("#lost")) < 300
         assert [error for error in page.errors if error.startswith("page:")] == []
         page.press(page.robot())  # nor does the page fail afterwards
         page.page.mouse.up()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from optdock.geometry.obstacles import in_words
 from optdock.impossibility import BlockedStraight
+from optdock.io.quoting import in_digits
 from optdock.model.limits import QUANTITY_UNITS
 from optdock.reports.html.page import Table, Text
 
@@ -50,7 +51,7 @@ def plan_texts(plan: PlanFile, problem: DockingProblem | None, verdict: PlanFile
     if plan.impossibility is not None:
         yield Text(_heading("Proof that no motion exists", verdict, "impossible"), [*_impossibility_words(plan)])
     elif plan.error is not None:
-        where = [f"{key}: {value}" for key, value in plan.error.where.items()]
+        where = [f"{key}: {in_digits(value)}" for key, value in plan.error.where.items()]
         yield Text("Reason of the refusal", [f"{plan.status} (code {plan.error.code}): {plan.error.message}", *where])
     if plan.certificate is not None and plan.certificate.get("certified"):
         is_sampled = verdict is not None and verdict.outcome == "unproven"

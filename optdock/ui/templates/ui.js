@@ -20,7 +20,12 @@
     const opened = window.Bokeh?.documents[0];
     if (!opened) return;
     clearInterval(watch);
-    opened.on_event("connection_lost", () => { document.getElementById("lost").hidden = false; });
+    opened.on_event("connection_lost", () => {
+      const isLinked = Boolean(model("link")?.text);
+      document.getElementById("kept").hidden = !isLinked;
+      document.getElementById("unkept").hidden = isLinked;
+      document.getElementById("lost").hidden = false;
+    });
     document.documentElement.dataset.ready = "yes";
   }, 50);
 })();

@@ -1,12 +1,14 @@
 """The page without a browser: events of the pointer and of widgets, and what the document shows after answers."""
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import shapely
 
 pytest.importorskip("bokeh")
 
@@ -16,7 +18,10 @@ from bokeh.models import Div
 
 import optdock as od
 from optdock.config import demo_scenario, load_scenario
-from optdock.errors import InvalidValue, NoMotionExists
+from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
+from optdock.geometry.pose import Pose2
+from optdock.model.camera import Camera
+from optdock.model.robot import TrackingTube
 from optdock.runner import Workers
 from optdock.simulation import DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.survey.dock_places import DockPlace
@@ -25,11 +30,13 @@ from optdock.survey.survey import SurveySettings, docks_of, run_survey
 from optdock.ui import page_session as page_module
 from optdock.ui.drawn_plan import drawn_plan
 from optdock.ui.driven_plan import DrivenPlan
-from optdock.ui.page_session import PageSession, make_page, open_source
+from optdock.ui.edited_obstacle import EditedObstacle
+from optdock.ui.opened_source import asked_page, open_source
+from optdock.ui.page_session import PageSession, make_page
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP
-from optdock.ui.scene_links import to_link
+from optdock.ui.scene_links import from_link, to_link
 from optdock.ui.scene_view import margin_colours
 
 
@@ -55,12 +62,12 @@ class Requests:
     def close(self):
         pass
 
-    def answer(self, page, row=-1):
-        """Plan a request, and show the answer."""
-        one = self.asked[row]
+    def answer(self, page, refusal=NoMotionExists):
+        """Plan the newest request, and show the answer."""
+        one = self.asked[-1]
         try:
             result = one.scenario.plan(2.0)
-        except NoMotionExists as error:
+        except refusal as error:
             result = error
         self.ready.append(drawn_plan((one.number, one.fingerprint), one.scenario.problem, result))
         page._show_answers()
@@ -221,13 +228,13 @@ def test_scenario_plan_and_report_are_saved_once(worked, tmp_path):
     page = worked(folder=tmp_path)
     page.process.answer(page)
     page.toolbar._name.value = "bay"
-    page.toolbar.save()
+    page.save()
     assert {one.name for one in tmp_path.iterdir()} == {"bay.yaml", "bay.json", "bay.html"}
     assert open_scene("bay.json", tmp_path).fingerprint == page.history.scene.fingerprint
-    page.toolbar.save()
+    page.save()
     assert "exists" in page.message.text
     page.toolbar._name.value = "../outside"
-    page.toolbar.save()
+    page.save()
     assert 'role="alert"' in page.message.text
     assert not (tmp_path.parent / "outside.yaml").exists()
 
@@ -238,13 +245,14 @@ def test_a_page_opens_the_scene_of_its_address(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "PageSession", lambda *given: opened.append(PageSession(*given)) or opened[-1])
     (path, *_) = worked_scenes()
     scene = open_scene(path.name, path.parent)
-    make_page(Document(), None, tmp_path, {"scene": [to_link(scene).encode()], "theme": [b"dark"]})
+    query = {"scene": [to_link(scene, tmp_path).encode()], "theme": [b"dark"]}
+    make_page(Document(), asked_page(None, tmp_path, query), tmp_path)
     assert opened[-1].history.scene.fingerprint == scene.fingerprint
     for hostile in (b"\xff\xfe", b"9." + b"A" * 100_000):
-        make_page(Document(), None, tmp_path, {"scene": [hostile]})
+        make_page(Document(), asked_page(None, tmp_path, {"scene": [hostile]}), tmp_path)
         assert 'role="alert"' in opened[-1].message.text
     for hostile in (b"../../etc/passwd", b"x" * 10_000, b"\x00"):
-        make_page(Document(), None, tmp_path, {"file": [hostile]})
+        make_page(Document(), asked_page(None, tmp_path, {"file": [hostile]}), tmp_path)
         assert 'role="alert"' in opened[-1].message.text
         assert isinstance(opened[-1].history.scene, EditedScene)
 
@@ -256,9 +264,35 @@ def test_a_slider_is_one_step_of_undo_and_is_planned_at_its_end(worked):
         page._set_field("robot.limits.max_speed", text, True)
     page._set_field("robot.limits.max_speed", "0.4", False)
     assert [one.in_hand for one in page.process.asked] == [False, True, True, True, False]
-    assert page.toolbar.link.text == to_link(page.history.scene)
+    assert page.toolbar.link.text == to_link(page.history.scene, Path())
     page.history.undo()
     assert page.history.scene is before
+
+
+def test_a_scene_with_a_map_returns_by_its_link(monkeypatch, tmp_path):
+    monkeypatch.setattr(page_module, "RequestProcess", Requests)
+    page = PageSession(Document(), open_scene(None, tmp_path), tmp_path)
+    page.history.nudge(0.1, 0.0)
+    assert page.unlinked.text == ""
+    assert from_link(page.toolbar.link.text, tmp_path).fingerprint == page.history.scene.fingerprint
+    page._explain_link()
+    assert "contains the scene, without its map" in page.message.text
+
+
+def test_a_scene_without_a_link_is_named_before_it_is_lost(worked):
+    page = worked()
+    places = np.random.default_rng(1).normal(size=(900, 2)).round(6)
+    triangles = [np.add(place, [[0, 0], [0.1, 0], [0, 0.1]]) for place in places]
+    obstacles = tuple(map(EditedObstacle.of, triangles, range(900)))
+    page.history.edit(lambda scene: scene._with_obstacles(obstacles))
+    assert page.toolbar.link.text == ""
+    assert "the scene is too large" in page.unlinked.text
+    assert "loses changes that are not saved" in page.unlinked.text
+    page._explain_link()
+    assert 'role="alert"' in page.message.text
+    page.history.undo()
+    assert page.toolbar.link.text.startswith("1.")
+    assert page.unlinked.text == ""
 
 
 @pytest.mark.parametrize("key", ["z", "ArrowUp", "Delete"])
@@ -320,10 +354,10 @@ def test_delete_twice_removes_one_obstacle(worked):
     assert page.history.selected == "start"
 
 
-def driven(page, outcome="docked", *, number=None):
+def driven(page, outcome="docked", *, number=None, count=0):
     """Return the answer to a request for a drive of the present scene."""
-    none, number = np.zeros((0, 3)), page._number if number is None else number
-    return DrivenPlan(number, page.history.scene.fingerprint, outcome, "", (), np.zeros(0), none, none)
+    number, poses = page._number if number is None else number, np.zeros((count, 3))
+    return DrivenPlan(number, page.history.scene.fingerprint, outcome, "", (), np.arange(1.0 * count), poses, poses)
 
 
 def test_a_plan_that_a_drive_replaced_is_requested_again(worked):
@@ -389,6 +423,15 @@ def test_the_browser_receives_every_change_of_the_picture(worked):
         assert received == {name: columns for name, columns in page.view.data.columns.items() if columns}
 
 
+def test_numbers_of_a_refusal_are_short(worked):
+    page = worked()
+    start, row = page.history.scene.problem.start, page.history.scene.grip("obstacles[0]")
+    page.history.nudge(row.x - start.x + 0.1, row.y - start.y + 0.07)
+    page.process.answer(page, StartOccupied)
+    assert "clearance: -0.58<" in page.words.text
+    assert re.search(r"[0-9]\.[0-9]{7}", page.words.text) is None
+
+
 def test_texts_of_an_answer_are_not_markup(worked):
     page = worked()
     one = page.process.asked[-1]
@@ -414,7 +457,7 @@ def test_a_map_is_hidden_while_the_scene_has_none(monkeypatch):
 def test_a_page_opens_after_the_first_file_was_removed(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "RequestProcess", Requests)
     document = Document()
-    make_page(document, tmp_path / "gone.yaml", tmp_path, {})
+    make_page(document, asked_page(tmp_path / "gone.yaml", tmp_path, {}), tmp_path)
     assert any("gone.yaml" in root.text for root in document.roots if isinstance(root, Div))
 
 
@@ -427,20 +470,51 @@ def test_nothing_is_saved_if_one_of_the_files_cannot_be(worked, tmp_path, suffix
     (folder / f"bay{suffix}").symlink_to(tmp_path / "outside")
     page.toolbar._name.value = "bay"
     page.toolbar._replace.active = True
-    page.toolbar.save()
+    page.save()
     assert 'role="alert"' in page.message.text
     assert [one.name for one in folder.iterdir()] == [f"bay{suffix}"]
     assert not (tmp_path / "outside").exists()
     (folder / f"bay{suffix}").unlink()
     (folder / f"bay{suffix}").write_text("mine")
     page.toolbar._replace.active = False
-    page.toolbar.save()
+    page.save()
     assert [one.read_text() for one in folder.iterdir()] == ["mine"]
     (folder / f"bay{suffix}").unlink()
     (folder / f"bay{suffix}").mkdir()
     page.toolbar._replace.active = True
-    page.toolbar.save()
+    page.save()
     assert 'role="alert"' in page.message.text
+
+
+def test_camera_and_tube_move_with_the_robot(worked):
+    page = worked()
+    page.process.answer(page)
+    robot, cone, tube = page.curves._shapes
+    assert [len(one.data["x"]) for one in (robot, cone, tube)] == [4, 0, 0]
+    problem = page.history.scene.problem
+    camera = Camera(Pose2(-0.4, 0.0, math.pi), 1.0, 0.2, 3.0)
+    seeing = replace(problem.robot, camera=camera, tracking=TrackingTube(0.01, 0.01))
+    page.history.edit(lambda scene: scene.with_problem(replace(problem, robot=seeing)))
+    page.process.answer(page)
+    x, y = np.array(cone.data["x"]), np.array(cone.data["y"])
+    points = np.column_stack((-0.4 - x, -y))  # in the frame of the camera, which looks backwards
+    assert np.abs(camera.margins(points).near).min() < 1e-9
+    assert min(map(min, zip(*camera.margins(points)[:3], strict=True))) > -1e-9
+    # The tube contains every point that the robot reaches by a displacement up to its width.
+    widths, row = np.array(page.curves._motion.data["width"]), 100
+    assert widths.max() == pytest.approx(seeing.tracking.width(seeing.footprint))
+    assert widths[-1] < 1e-6
+    grown = [np.array(tube.data[name]) + widths[row] * np.array(tube.data[f"d{name}"]) for name in "xy"]
+    reached = shapely.Polygon(seeing.footprint.vertices).buffer(widths[row], quad_segs=32)
+    assert shapely.Polygon(np.column_stack(grown)).buffer(1e-9).contains(reached)
+    assert shapely.Polygon(np.column_stack(grown)).hausdorff_distance(reached) < 0.5 * widths[row]
+    page.process.ready.append(driven(page, count=3))
+    page._show_answers()
+    assert [len(one.data["x"]) > 0 for one in (robot, cone, tube)] == [True, True, False]  # it lies around the path
+    page.history.nudge(0.1, 0.0)
+    page.load_worked("no_way")
+    page.process.answer(page)
+    assert [len(one.data["x"]) for one in (robot, cone, tube)] == [4, 0, 0]
 
 
 def test_colours_of_margins_go_from_red_to_blue():

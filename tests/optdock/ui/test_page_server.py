@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -21,6 +22,7 @@ from optdock.cli import app
 from optdock.errors import InvalidValue
 from optdock.ui import page_session as page_module
 from optdock.ui import server as server_module
+from optdock.ui.opened_source import asked_page
 from optdock.ui.server import page_server
 
 
@@ -112,6 +114,28 @@ def test_a_page_that_cannot_be_made_takes_no_place(served, monkeypatch):
 async def _ignoring_errors(server):
     with contextlib.suppress(HTTPClientError):
         await fetched(server)
+
+
+def test_a_page_that_is_slow_to_open_delays_no_other(served, monkeypatch):
+    begun, released, ended = threading.Event(), threading.Event(), []
+
+    def asked(source, folder, arguments):
+        if "file" in arguments:
+            begun.set()
+            ended.append(released.wait(20.0))
+        return asked_page(source, folder, {})
+
+    async def visit(server):
+        slow = asyncio.create_task(fetched(server, "?file=large.yaml"))
+        while not begun.is_set():
+            await asyncio.sleep(0.001)
+        assert "not a safety function" in await fetched(server)
+        released.set()
+        assert "not a safety function" in await slow
+        assert ended == [True]
+
+    monkeypatch.setattr(server_module, "asked_page", asked)
+    served(visit)
 
 
 @pytest.mark.parametrize(

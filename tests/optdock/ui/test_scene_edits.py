@@ -14,6 +14,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.model.limits import MotionLimits
+from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.ui.scene_edits import BOX_SIDE, WALL_THICKNESS, EditedScene
 from optdock.ui.scene_files import worked_scenes
 from optdock.ui.scene_grips import Grip, part_named
@@ -21,10 +22,7 @@ from optdock.ui.scene_grips import Grip, part_named
 SCENES = {file.stem: EditedScene(load_scenario(file)) for file in worked_scenes()}
 BAY = SCENES["reverse_bay"]
 DENTED = [[3.0, 0.0], [4.0, 0.0], [4.0, 1.0], [3.5, 0.5], [3.0, 1.0]]  # not convex
-MIXED = BAY.with_problem(
-    dataclasses.replace(BAY.problem, obstacles=ObstacleSet.from_polygons([*BAY.polygons, DENTED])),
-    [*BAY.polygons, np.array(DENTED)],
-)
+MIXED = BAY._with_obstacles((*BAY.obstacles, EditedObstacle.of(DENTED, 4)))
 PARTS = [handle.name for handle in MIXED.handles()]
 BODIES = [name for name in PARTS if not name.endswith(".heading")]
 places = st.integers(-4_000_000, 4_000_000).map(lambda micrometres: round(micrometres * 1e-6, 6))
@@ -33,7 +31,7 @@ points = st.tuples(places, places)
 
 def shape_of(scene, name):
     """The part as it is drawn: the disc of a handle or a corner, or the outline of a body."""
-    part, problem = part_named(name, scene.polygons), scene.problem
+    part, problem = part_named(name, scene.obstacles), scene.problem
     disc = next(handle for handle in scene.handles() if handle.name == name)
     if part.is_heading or part.corner is not None:
         return shapely.Point(disc.x, disc.y).buffer(disc.radius)
@@ -43,6 +41,32 @@ def shape_of(scene, name):
     outlines = [problem.robot.footprint, *([problem.dock.footprint] if name == "dock" else [])]
     placed = [ObstacleSet.from_footprint(outline, pose, name).vertices for outline in outlines]
     return shapely.union_all(shapely.polygons(np.concatenate(placed)))
+
+
+@settings(max_examples=20)
+@given(st.lists(st.tuples(st.sampled_from(("move", "turn", "add", "remove")), st.integers(0, 5), points), max_size=5))
+def test_edits_one_after_another_give_the_scene_of_the_polygons(edits):
+    """Values that scenes share are those of a scene that is made anew from the polygons."""
+    scene = MIXED
+    for kind, row, (x, y) in edits:
+        grip = scene.grip(f"obstacles[{row % len(scene.obstacles)}]")
+        if kind == "move":
+            scene = scene.nudged(grip, x, y)
+        elif kind == "turn":
+            scene = scene.turned(grip, x)
+        elif kind == "add":
+            scene = scene.added_box(x, y)
+        elif len(scene.obstacles) > 1:
+            scene = scene.removed(grip)
+    anew = EditedScene(dataclasses.replace(scene.scenario, polygons=tuple(map(np.array, scene.polygons))))
+    wanted = ObstacleSet.from_polygons(scene.polygons)
+    assert scene.problem.obstacles.digest == wanted.digest
+    assert scene.problem.obstacles.names == wanted.names
+    for row, piece in enumerate(scene.problem.obstacles.vertices):
+        whole = shapely.Polygon(scene.polygons[int(scene.problem.obstacles.group[row])])
+        assert whole.buffer(1e-6).contains(shapely.Polygon(piece))
+    assert anew.fingerprint == scene.fingerprint
+    assert anew.handles() == scene.handles()
 
 
 @settings(max_examples=20)
@@ -68,7 +92,7 @@ def test_a_drag_there_and_back_restores_the_scene(name, begin, end):
             if ".corners" in h.name and math.dist((h.x, h.y), moved(name, begin, end)) < 1e-9
         )
         back = there.dragged(Grip(new, *end), begin)
-        row = part_named(name, MIXED.polygons).row
+        row = part_named(name, MIXED.obstacles).row
         assert {*map(tuple, back.polygons[row].tolist())} == {*map(tuple, MIXED.polygons[row].tolist())}
         return
     back = there.dragged(Grip(name, *end), begin)
@@ -77,7 +101,7 @@ def test_a_drag_there_and_back_restores_the_scene(name, begin, end):
 
 
 def moved(name, begin, end):
-    part = part_named(name, MIXED.polygons)
+    part = part_named(name, MIXED.obstacles)
     x, y = MIXED.polygons[part.row][part.corner]
     return x + end[0] - begin[0], y + end[1] - begin[1]
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -67,7 +68,7 @@ def test_a_field_is_read_and_written(name, key):
         last = edited
     assert accepted, others(field, scene)
     # A scenario file keeps the value.
-    assert from_link(to_link(last)).fingerprint == last.fingerprint
+    assert from_link(to_link(last, Path()), Path()).fingerprint == last.fingerprint
 
 
 @pytest.mark.parametrize(("name", "key"), [pair for pair in GIVEN if FIELDS[pair[1]].slider])
@@ -77,6 +78,30 @@ def test_a_value_that_is_written_back_restores_the_scene(name, key):
         return  # see below
     text = others(field, scene)[0]
     assert with_field(with_field(scene, key, text), key, field.text(scene)).fingerprint == scene.fingerprint
+
+
+@pytest.mark.parametrize("key", [key for name, key in GIVEN if name == "camera" and FIELDS[key].slider])
+def test_a_text_is_short_and_keeps_the_value_until_it_is_edited(key):
+    scene, field = SCENES["camera"], FIELDS[key]
+    value = min(field.read(scene), 10.0)  # some are infinite
+    noisy = with_field(scene, key, repr(0.9 * value + 1 / 300))
+    text = field.text(noisy)
+    assert len(text) <= 10
+    assert field.read(noisy) == pytest.approx(float(text), rel=1e-5)
+    assert repr(field.read(noisy)) != text
+    assert with_field(noisy, key, text) is noisy
+    edited = with_field(noisy, key, f"{float(text) - 1e-4:.4f}")
+    assert field.read(edited) != field.read(noisy)
+
+
+def test_the_reduced_curvature_is_kept_when_it_is_entered():
+    key = "robot.limits.max_curvature"
+    value, text = FIELDS[key].read(FORK), FIELDS[key].text(FORK)
+    assert float(text) > value  # rounded up
+    again = with_field(with_field(FORK, key, "1.2"), key, text)
+    assert FIELDS[key].read(again) == value
+    with pytest.raises(InvalidValue, match="the curvature at max_steering_angle"):
+        with_field(FORK, key, "1.2603")
 
 
 def test_the_texts_of_the_table_come_from_the_scenario_keys():
@@ -143,7 +168,7 @@ def test_any_text_ends_as_a_value_or_a_message(key, text):
             assert message.isprintable()
             assert len(message) <= LONGEST_MESSAGE
         else:
-            assert from_link(to_link(edited)).fingerprint == edited.fingerprint
+            assert from_link(to_link(edited, Path()), Path()).fingerprint == edited.fingerprint
         assert scene.fingerprint == before
 
 

@@ -4,14 +4,17 @@ import dataclasses
 import shutil
 
 import pytest
+from PIL import Image
 
 from optdock.config import demo_scenario, load_scenario
 from optdock.errors import InvalidFile, InvalidValue, NoMotionExists
 from optdock.io.plan_file import save_plan
 from optdock.planning.failures import check_ends
 from optdock.reports.report import failed_plan_file
+from optdock.ui import scene_files, scene_maps
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, saved, worked_scenes
+from optdock.ui.scene_maps import known_costmap
 
 FORK, NO_WAY, BAY = worked_scenes()
 DEMO = demo_scenario().parent
@@ -47,6 +50,47 @@ def test_on_a_narrow_map_the_robot_is_smaller(folder):
         scene.nudged(scene.grip("start"), 1.0, 0.0).nudged(scene.grip("start"), -1.0, 0.0).fingerprint
         == scene.fingerprint
     )
+
+
+def test_a_large_map_gives_places_that_are_free_in_it(folder, monkeypatch):
+    """Places are searched in blocks of cells, and in the cells if the blocks have none."""
+    searched, search = [], scene_files._with_places_on
+    monkeypatch.setattr(
+        scene_files, "_with_places_on", lambda cells, problem: searched.append(cells.rows) or search(cells, problem)
+    )
+    rows = known_costmap("hall_map.yaml", folder).rows
+    for most, blocks in ((10_000, 2), (2_000, 3), (10, 40)):
+        monkeypatch.setattr(scene_files, "_MOST_CELLS", most)
+        scene_files._placed_on.cache_clear()
+        scene = open_scene("hall_map.yaml", folder)
+        check_ends(scene.problem)
+        assert searched[0] == -(-rows // blocks)
+        assert searched[-1] == (rows if blocks == 40 else searched[0])
+        assert scene.problem.costmap.rows == rows
+        searched.clear()
+
+
+@pytest.mark.parametrize("source", ["hall.yaml", "hall_map.yaml"])
+def test_a_map_is_read_again_only_after_a_change(folder, source, monkeypatch):
+    read, load = [], scene_maps.load_map
+    monkeypatch.setattr(scene_maps, "load_map", lambda file: read.append(file) or load(file))
+    first = open_scene(source, folder)
+    assert open_scene(source, folder).problem.costmap is first.problem.costmap
+    assert len(read) == 1
+    image = Image.open(folder / "hall_map.png").convert("L")
+    for replaced in (True, False):
+        image.putpixel((5, 5), 255 - image.getpixel((5, 5)))
+        if replaced:
+            image.save(folder / "new.png")
+            (folder / "new.png").replace(folder / "hall_map.png")
+        else:
+            image.save(folder / "hall_map.png")
+        costmap = open_scene(source, folder).problem.costmap
+        assert costmap.data.tolist() == load(folder / "hall_map.yaml").costmap.data.tolist()
+    text = (folder / "hall_map.yaml").read_text()
+    (folder / "hall_map.yaml").write_text(text.replace("0.05", "0.06"))
+    assert open_scene(source, folder).problem.costmap.resolution == 0.06
+    assert len(read) == 4
 
 
 def test_a_map_without_a_free_place_is_refused(folder):
@@ -118,7 +162,7 @@ def test_no_map_outside_the_folder_is_read(folder, target):
     (folder / "up").symlink_to(outside)
     text = (folder / "hall.yaml").read_text().replace("hall_map.yaml", target.format(outside=outside))
     (folder / "bad.yaml").write_text(text)
-    with pytest.raises(InvalidValue, match="is not in the folder"):
+    with pytest.raises(InvalidFile, match="is not in the folder"):
         open_scene("bad.yaml", folder)
     assert open_scene(folder / "bad.yaml", folder.parent)
 
@@ -131,7 +175,7 @@ def test_no_image_outside_the_folder_is_read(folder, source, image):
     text = (folder / "hall_map.yaml").read_text().replace("hall_map.png", image.format(outside=outside))
     (folder / "bad_map.yaml").write_text(text)
     (folder / "bad.yaml").write_text((folder / "hall.yaml").read_text().replace("hall_map", "bad_map"))
-    with pytest.raises(InvalidValue, match="is not in the folder"):
+    with pytest.raises((InvalidFile, InvalidValue), match="is not in the folder"):
         open_scene(source, folder)
     assert open_scene(folder / source, folder.parent)
 
