@@ -395,7 +395,17 @@ def _dock_fields() -> Iterator[SceneField]:
         is_given=lambda problem: problem.dock.approach_distance > 0.0 and math.isfinite(problem.dock.approach_speed),
     )
     yield from (_marker(0), _marker(1))
-    yield _number("dock.visible_distance", (0.0, 5.0, 0.05), is_given=_has_camera)
+    for name in ("visible_distance", "blind_distance"):
+        yield _number(f"dock.{name}", (0.0, 5.0, 0.05), is_given=_has_camera)
+    view = {"field_of_view": (0.1, 6.28, 0.01), "min_range": (0.0, 2.0, 0.01), "max_range": (0.1, 10.0, 0.1)}
+    for name, slider in view.items():
+        yield _number(
+            f"robot.camera.{name}",
+            slider,
+            is_given=_has_camera,
+            can_be_unlimited=name == "max_range",
+            label=f"camera {name.replace('_', ' ')}",
+        )
 
 
 def _planning_fields() -> Iterator[SceneField]:

@@ -59,7 +59,7 @@ class SceneView:
             "y [m]",
             sizing_mode="stretch_both",
             match_aspect=True,
-            tools="wheel_zoom,pan,reset",
+            tools="wheel_zoom,pan,reset,save",
             variant=variant,
         )
         self.axes.toolbar.autohide = False
