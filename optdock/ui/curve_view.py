@@ -75,7 +75,9 @@ class CurveView:
         self.data = DataPost({})
         self.holder = Div(visible=False, tags=[self.data.post])  # data without a figure are in no document otherwise
         self.charts = column([Div(text="")], sizing_mode="stretch_width")
-        self.slider = Slider(start=0, end=1, value=0, step=1, title="time", sizing_mode="stretch_width", name="player")
+        self.slider = Slider(
+            start=0, end=1, value=0, step=1, title="time", show_value=False, sizing_mode="stretch_width", name="player"
+        )
         self.play = Toggle(label="Play", width=80, name="play")
         self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw", "words", "width")})
         self._shapes = [ColumnDataSource({name: [] for name in ("x", "y", "dx", "dy")}) for _ in ghosts]

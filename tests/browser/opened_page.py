@@ -155,7 +155,11 @@ class OpenedPage:
     @property
     def message(self):
         """The message above the figure; empty without one."""
-        return self.page.evaluate("Bokeh.documents[0].get_model_by_name('message').text")
+        return self.text("message")
+
+    def text(self, name):
+        """Return the HTML text of a part of the page."""
+        return self.page.evaluate("(name) => Bokeh.documents[0].get_model_by_name(name).text", name)
 
     def status(self, name):
         return self.page.get_attribute("#status p", f"data-{name}")

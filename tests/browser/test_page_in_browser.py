@@ -2,8 +2,13 @@
 
 import io
 import math
+import os
+import signal
+from pathlib import Path
 
+import numpy as np
 import pytest
+import shapely
 from PIL import Image
 
 pytest.importorskip("bokeh")
@@ -14,6 +19,7 @@ from optdock.cli import app
 from optdock.reports.html.figures import PALETTE
 from optdock.ui.scene_files import worked_scenes
 from tests.browser.opened_page import ROOT, OpenedPage, Program, launched, missing
+from tests.browser.page_picture import Picture, along, crowded, faint
 
 if missing():
     pytest.skip(f"the test of the page {missing()}", allow_module_level=True)
@@ -29,13 +35,21 @@ INTRUDERS = """() => {
     [...node.children].flatMap((one) => [one, ...within(one), ...within(one.shadowRoot ?? none)]);
   return [window.taken ?? 0, within(document).filter((one) => one.matches("img[src=x]")).length];
 }"""
-INK = "one => getComputedStyle(one).color"
-PAPER = "one => getComputedStyle(one).backgroundColor"
+# Parts whose text does not fit.
+CUT = """() => ["#status", "h1", "header p", ".legend", "footer"].filter((name) => {
+  const one = document.querySelector(name);
+  return one.scrollHeight > one.clientHeight + 1 || one.scrollWidth > one.clientWidth + 1;
+})"""
 FOCUSED = """() => {
   let one = document.activeElement;
   while (one?.shadowRoot?.activeElement) one = one.shadowRoot.activeElement;
   return one?.tagName === "BUTTON" ? one.innerText.trim() : "";
 }"""
+SPEED = """() => {
+  const chart = Bokeh.documents[0].get_model_by_name("curves").children[0], {data} = chart.renderers[0].data_source;
+  return Object.fromEntries(Object.entries(data).map(([key, column]) => [key, Array.from(column)]));
+}"""
+HIDE = "() => { Bokeh.documents[0].get_model_by_name('ghost').visible = false; }"  # the robot of the player
 CURSORS = """() => {
   const model = (name) => Bokeh.documents[0].get_model_by_name(name);
   const spans = model("curves").children.map((one) => one.center.find((part) => part.type === "Span").location);
@@ -124,8 +138,10 @@ def test_the_page_opens_without_errors_and_fits(opened, size, scheme):
     assert ink_at(page, page.robot(), PALETTE["start"][variant], 90) > 20
     assert ink_at(page, page.robot("dock"), PALETTE["goal"][variant], 90) > 20
     assert ink_at(page, free_place(page), PALETTE["paper"][variant], 10) > 100
-    field = page.field("clearance [m]")
-    assert field.evaluate(INK) != field.evaluate(PAPER)
+    page.field("clearance [m]")  # opens all groups
+    assert faint(page) == []
+    assert crowded(page) == []
+    assert page.page.evaluate(CUT) == []
     pictured(page, f"{size}-{scheme}")
     assert page.errors == []
 
@@ -274,9 +290,11 @@ def test_a_wall_in_front_of_the_dock_is_refused_and_undone(page):
     page.settle_after(state)
     assert page.outcome in ("impossible", "refused")
     places = page.data("places")
-    assert places["xs"]
-    corner = min(zip(places["xs"][0], places["ys"][0], strict=True))
-    assert ink_at(page, corner, PALETTE["hot"][0], 15) > 10
+    scene = Picture(page, "scene")
+    assert scene.share_of(PALETTE["hot"][0], along(places["xs"][0], places["ys"][0]), 4) > 0.8
+    check_bodies(page, scene)
+    words = page.text("words")
+    assert "Reason of the refusal" in words or "Proof that no motion exists" in words
     pictured(page, "refused")
     state = page.state
     page.click("Undo")
@@ -289,27 +307,136 @@ def test_a_wall_in_front_of_the_dock_is_refused_and_undone(page):
 
 
 @pytest.mark.parametrize("stem", [path.stem for path in worked_scenes()])
-def test_worked_scenes_open(page, stem):
+def test_worked_scenes_are_painted_as_they_are(page, stem):
     state = page.state
     page.choose("scene", stem)
     page.settle_after(state)
     pictured(page, f"scene-{stem}")
+    assert page.message == ""
+    page.page.evaluate(HIDE)
+    scene = Picture(page, "scene")
+    check_bodies(page, scene)
+    words = page.text("words")
     if stem != "no_way":
         assert page.outcome == "certified"
-        assert near(page.path_start(), page.robot())
+        assert "at every point of the path" in words.lower()
+        check_path(page, scene)
+        check_curves(page)
         return
     assert page.outcome == "impossible"
     assert "too wide" in page.page.inner_text("#status")
-    region = page.data("region")["xs"]
-    assert region
-    assert page.message == ""
-    mixed = mixture(PALETTE["impossible"][0], PALETTE["paper"][0], 0.45)
-    x, y = page.robot("dock")
-    assert ink_at(page, [x - 1.0, y + 0.8], mixed, 20) > 500
+    assert "Proof that no motion exists" in words
+    check_region(page, scene)
     page.click("Undo")
     page.wait("(state) => document.querySelector('#status p').dataset.scene === state", state)
     page.settle()
     assert page.outcome == "certified"
+
+
+def check_bodies(page, scene):
+    """The outlines of the robot at start and dock have their colours, and lines beside them do not."""
+    for name, colour in (("start", "start"), ("dock", "goal")):
+        body = page.data(f"{name} body")
+        outline = along(body["xs"][0], body["ys"][0])
+        assert scene.share_of(PALETTE[colour][0], outline) > 0.8
+        centre = np.mean(outline, axis=0)
+        assert scene.share_of(PALETTE[colour][0], centre + 0.75 * (outline - centre)) < 0.3
+
+
+def check_path(page, scene):
+    """The path is painted in the colours of its gears away from the robots, and not beside it."""
+    bodies = [page.data(f"{name} body") for name in ("start", "dock")]
+    bodies = [np.column_stack((body["xs"][0], body["ys"][0])) for body in bodies]
+    marks = [page.data(name) for name in ("grips", "cusps")]
+    discs = [shapely.Point(place) for mark in marks for place in zip(mark["x"], mark["y"], strict=True)]
+    covered = shapely.union_all([*map(shapely.Polygon, bodies), *discs]).buffer(0.06)
+    shown = 0
+    for name, colour in (("forward", "path"), ("reverse", "reverse")):
+        line = page.data(name)
+        points = [(x, y) for x, y in zip(line["x"], line["y"], strict=True) if x is not None]
+        free = [place for place in points if not covered.contains(shapely.Point(place))]
+        if len(free) > 8:
+            shown += 1
+            assert scene.share_of(PALETTE[colour][0], free) > 0.9
+            beside = [(x + 0.1, y + 0.1) for x, y in free]
+            assert scene.share_of(PALETTE[colour][0], beside) < 0.6
+    assert shown
+
+
+def check_region(page, scene):
+    """The closed region is painted in its colour inside, and nothing outside of it."""
+    columns = page.data("region")
+    polygons = zip(columns["xs"], columns["ys"], strict=True)
+    rings = [
+        [np.column_stack(ring) for ring in zip(xs, ys, strict=True)]
+        for multi in polygons
+        for xs, ys in zip(*multi, strict=True)
+    ]
+    region = shapely.union_all([shapely.Polygon(first, holes) for first, *holes in rings])
+    names = ("start body", "dock body", "station", "obstacles", "places")
+    bodies = [list(zip(x, y, strict=True)) for n in names for x, y in zip(*page.data(n).values(), strict=True)]
+    grips = page.data("grips")
+    discs = [shapely.Point(place) for place in zip(grips["x"], grips["y"], strict=True)]
+    lines = shapely.union_all([*map(shapely.Polygon, bodies), *discs, region.boundary]).buffer(0.15)
+    places = [(x, y) for x in np.arange(-2.9, 3.0, 0.1) for y in np.arange(-2.0, 2.0, 0.1)]
+    free = [place for place in places if not lines.contains(shapely.Point(place))]
+    inside = [place for place in free if region.contains(shapely.Point(place))]
+    outside = [place for place in free if not region.contains(shapely.Point(place))]
+    colour = mixture(PALETTE["impossible"][0], PALETTE["paper"][0], 0.45)
+    assert min(len(inside), len(outside)) > 100
+    assert scene.share_of(colour, inside, 1) > 0.95
+    assert scene.share_of(colour, outside, 1) == 0.0
+
+
+def check_curves(page):
+    """The speed and its limit are painted in the first chart."""
+    chart = Picture(page, "speed [m/s]")
+    data = page.page.evaluate(SPEED)
+    curve = np.column_stack((data["at"], data["value"]))
+    assert chart.share_of(PALETTE["path"][0], curve) > 0.95
+    assert chart.share_of(PALETTE["path"][0], np.add(curve, (0.0, 0.15))) < 0.4
+    limit = [(x, y) for x, y in zip(data["at"], data["upper"], strict=True) if y is not None]
+    assert chart.share_of(PALETTE["limit"][0], limit, 4) > 0.1  # dashed, and mixed with the paper
+    assert chart.share_of(PALETTE["limit"][0], np.subtract(limit, (0.0, 0.15)), 4) < 0.06
+
+
+def test_a_stale_picture_is_faded_until_the_next_one(page, program):
+    """The planning process is stopped, so that the answer to a change does not arrive."""
+    state = page.state
+    page.choose("scene", "reverse_bay")
+    page.settle_after(state)
+    path = [(x, y) for x, y in zip(*page.data("forward").values(), strict=True) if x is not None][20:-20]
+    faded = mixture(PALETTE["path"][0], PALETTE["paper"][0], 0.35)
+    page.page.evaluate(HIDE)
+    assert Picture(page, "scene").share_of(PALETTE["path"][0], path) > 0.9
+    found = Path(f"/proc/{program.process.pid}/task").glob("*/children")
+    children = {int(child) for listed in found for child in listed.read_text().split()}
+    try:
+        for child in children:
+            os.kill(child, signal.SIGSTOP)
+        state = page.state
+        page.click("→")
+        page.wait("(old) => document.querySelector('#status p').dataset.scene !== old", state)
+        page.wait(
+            "() => Bokeh.documents[0].get_model_by_name('scene').center.some((one) => one.fill_alpha === 0.65"
+            " && one.visible)"
+        )
+        assert page.status("shown") == state
+        stale = Picture(page, "scene")
+        assert stale.share_of(faded, path) > 0.9
+        assert stale.share_of(PALETTE["path"][0], path) == 0.0
+        check_start(page, stale)
+    finally:
+        for child in children:
+            os.kill(child, signal.SIGCONT)
+    page.settle()
+    path = [(x, y) for x, y in zip(*page.data("forward").values(), strict=True) if x is not None][20:-20]
+    assert Picture(page, "scene").share_of(PALETTE["path"][0], path) > 0.9
+
+
+def check_start(page, scene):
+    body = page.data("start body")
+    assert scene.share_of(PALETTE["start"][0], along(body["xs"][0], body["ys"][0])) > 0.8
 
 
 def mixture(colour, paper, share):
