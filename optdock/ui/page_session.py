@@ -76,7 +76,7 @@ class PageSession:
 
         self.document, self.folder = document, folder
         self.shown: DrawnPlan | None = None
-        self._number = 0
+        self._number, self._doing = 0, ""
         self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
@@ -150,7 +150,8 @@ class PageSession:
         scene = self.history.scene
         self.process.ask_drive(scene.scenario, self._number, scene.fingerprint)
         with self._one_message():
-            self._show_status("driving")
+            self._doing = "driving"
+            self._show_status()
 
     def _cancel(self) -> None:
         self.process.cancel()
@@ -191,7 +192,8 @@ class PageSession:
         scene = self.history.scene
         self._number += 1
         self.process.ask(scene.scenario, self._number, scene.fingerprint, in_hand=in_hand)
-        self._show_status("planning")
+        self._doing = "moving" if in_hand else "planning"
+        self._show_status()
         number = self._number
         self.document.add_timeout_callback(lambda: self._fade(number), _STALE)
 
@@ -239,7 +241,7 @@ class PageSession:
         if drawn.outcome == "cancelled" and drawn.number < self._number:
             return  # a newer request replaced it
         self.shown = drawn
-        self._show_status("planning" if drawn.number < self._number else "")
+        self._finish(drawn.number)
         self.view.show_answer(drawn)
         if not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
@@ -269,7 +271,7 @@ class PageSession:
         if drive.number < self._number:
             return  # a newer request replaced it
         scene = self.history.scene
-        self._show_status("")
+        self._finish(drive.number)
         self.view.show_drive(drive.poses)
         if len(drive.times):
             self.curves.show_player(drive.times, drive.poses, moved_shapes(scene.problem))
@@ -277,8 +279,14 @@ class PageSession:
         if drive.outcome != "cancelled" and (self.shown is None or self.shown.fingerprint != scene.fingerprint):
             self._ask(in_hand=False)  # the drive replaced the request for the plan
 
-    def _show_status(self, doing: str) -> None:
-        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, doing))
+    def _finish(self, number: int) -> None:
+        """Show in the status that a request was answered, unless a newer one waits or the hand still moves."""
+        if number == self._number and self._doing != "moving":
+            self._doing = ""
+        self._show_status()
+
+    def _show_status(self) -> None:
+        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, self._doing))
 
     def _fade(self, number: int) -> None:
         """Fade the answer if it belongs to another scene, and none to this request or a later one has arrived."""

@@ -24,7 +24,7 @@ def status_html(scene: str, drawn: DrawnPlan | None, doing: str) -> str:
     Args:
         scene: Fingerprint of the scene.
         drawn: The answer that is shown, or None.
-        doing: What the process does; empty if it waits.
+        doing: `moving` while a part is dragged, `planning` or `driving` until the answer arrives; otherwise empty.
     """
     shown, outcome, headline = ("", "", "") if drawn is None else (drawn.fingerprint, drawn.outcome, drawn.headline)
     grade = f"{outcome}{' stale' if shown != scene else ''}"
