@@ -14,21 +14,18 @@ import json
 import math
 import sys
 from collections import Counter
-from functools import cache
 from itertools import accumulate, pairwise, product, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
 
 __all__ = ["Refusal", "Span", "judge", "main"]
 
 TOLERANCE = 1e-6  # [m], [rad], and relative to limits, as in the certificate
-_WIDE, _ACCURACY, _SHORTEST = 1.0 + TOLERANCE, 2.0**-50, 1e-9  # limits; sin, cos; parts of the motion [s]
-_LINEAR = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}
-_TURNING = {"yaw_rate", "yaw_acceleration", "lateral_acceleration", "lateral_jerk", "wheel_speed", "steering_rate"}
-_LIMITS = _LINEAR | {f"max_{name}" for name in _TURNING | {"curvature", "curvature_rate", "steering_angle"}}
+_WIDE, _ACCURACY = 1.0 + TOLERANCE, 2.0**-50  # of limits, and of the mathematical functions
+_RULE = "at_dock", "taper", "dock_run", "start_relief"
+_NEEDED = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}
+_LIMITS = _NEEDED | {"max_yaw_rate", "max_yaw_acceleration", "max_lateral_acceleration", "max_lateral_jerk"}
+_LIMITS |= {"max_wheel_speed", "max_curvature", "max_curvature_rate", "max_steering_angle", "max_steering_rate"}
 
 
 class Refusal(Exception):
@@ -78,14 +75,9 @@ class Span:
         return max(-self.lo, self.hi)
 
     @classmethod
-    def around(cls, spans: Iterable[Span]) -> Span:
+    def around(cls, spans: list[Span]) -> Span:
         """Return the smallest interval that contains the given ones."""
-        lows, highs = zip(*((span.lo, span.hi) for span in spans), strict=True)
-        return cls(min(lows), max(highs))
-
-    def root(self) -> Span:
-        """Return the square root."""
-        return Span(math.nextafter(math.sqrt(self.lo), 0.0), math.nextafter(math.sqrt(self.hi), math.inf))
+        return cls(min(span.lo for span in spans), max(span.hi for span in spans))
 
     def turned(self, x: Span | float, y: Span | float) -> tuple[Span, Span]:
         """Return the vector (x, y) turned by this angle; sin and cos change by no more than the angle."""
@@ -99,7 +91,7 @@ _ZERO, _FULL_TURN = Span(0.0), Span(math.pi, math.nextafter(math.pi, 4.0)) * 2.0
 
 
 def _length(x: Span, y: Span) -> float:
-    return Span(0.0, (x * x + y * y).hi).root().hi  # an upper bound
+    return math.nextafter(math.sqrt((x * x + y * y).hi), math.inf)  # an upper bound
 
 
 class _Pose(NamedTuple):
@@ -128,36 +120,21 @@ class _Pose(NamedTuple):
         return _Pose(self.x + (x + rest) * gear, self.y + (y + rest) * gear, yaw)
 
 
-class _Cell(NamedTuple):
-    """Poses of a cell, the velocity (x, y, yaw) in its middle, the bounds of (C4), half its width."""
-
-    poses: tuple[_Pose, _Pose, _Pose]
-    velocity: list[Span]
-    bend: float
-    twist: float
-    half: float
-
-
 class _Segment:
-    """Clothoids or poses driven in one gear, or a turn in place, whose coordinate is its angle and whose gear is 0."""
+    """Clothoids driven in one gear, or a turn in place, whose coordinate is its angle and whose gear is 0."""
 
-    def __init__(self, curve: dict[str, Any], where: str) -> None:
-        self.where, self.poses, turn, start = where, curve.get("poses"), curve.get("turn"), curve.get("start")
-        self.gear: float = 0.0 if turn is not None else curve["direction"]
-        _hold(turn is not None or self.gear in (1.0, -1.0), f"{where}: the direction must be 1 or -1")
-        if self.poses is not None:
-            start, self.knots = self.poses[0], [float(i) for i in range(len(self.poses))]
-            self.bends = [0.0 * _ for _ in self.knots]
-            _hold(all(abs(b[2] - a[2]) <= math.pi for a, b in pairwise(self.poses)), f"{where}: turns by more than pi")
-        elif turn is not None:
+    def __init__(self, curve: dict[str, Any], name: str) -> None:
+        _hold("poses" not in curve, f"{name}: poses; only clothoids and turns in place can be judged")
+        self.name, turn, (x, y, yaw) = name, curve.get("turn"), curve["start"]
+        self.gear: float = 0.0 if "turn" in curve else curve["direction"]
+        self.knots, self.bends = curve.get("knots"), curve.get("curvature")
+        if "turn" in curve:
             self.knots, self.bends = [0.0, abs(turn)], [math.copysign(1.0, turn)] * 2
-        else:
-            self.knots, self.bends = curve["knots"], curve["curvature"]
-        rising = self.knots[0] == 0.0 and len(self.knots) > 1 and all(a < b for a, b in pairwise(self.knots))
-        _hold(rising, f"{where}: the knots must increase from 0")
+        rising = self.knots[0] == 0.0 and self.knots[-1] > 1e-5 and all(a < b for a, b in pairwise(self.knots))
+        _hold(rising, f"{name}: knots must increase from 0 to more than 10 um")
+        _hold("turn" in curve or self.gear in (1.0, -1.0), f"{name}: the direction must be 1 or -1")
         pieces = zip(pairwise(self.knots), pairwise(self.bends), strict=True)
         self.rates = [(Span(m) - k) / (Span(b) - a) for (a, b), (k, m) in pieces]
-        x, y, yaw = start
         self.start, self.length = _Pose(Span(x), Span(y), Span(yaw)), Span(self.knots[-1])
 
     def bend_at(self, index: int, place: Span) -> Span:
@@ -167,61 +144,54 @@ class _Segment:
     def cells(self, borders: list[float]) -> list[_Cell]:
         """Return the cells between the borders, which must go from end to end through all knots."""
         whole = borders[0] == self.knots[0] and borders[-1] == self.knots[-1] and set(self.knots) <= set(borders)
-        _hold(whole and all(a < b for a, b in pairwise(borders)), f"cells: they do not cover {self.where} in order")
+        _hold(whole and all(a < b for a, b in pairwise(borders)), f"cells: they do not cover {self.name} in order")
         found, pose, index = [], self.start, 0
         for u, v in pairwise(borders):
             index += u >= self.knots[index + 1]
-            found.append(self._cell(index, pose, u, v))
-            pose = found[-1].poses[2]
+            middle, rate = 0.5 * (u + v), self.rates[index]
+            bends = [self.bend_at(index, Span(place)) for place in (u, middle, v)]
+            at, end = (pose.after(Span(to) - u, bends[0], rate, self.gear) for to in (middle, v))
+            velocity, most = [*at.yaw.turned(self.gear, 0.0), bends[1]], Span(max(bend.size for bend in bends))
+            half = max((Span(middle) - u).hi, (Span(v) - middle).hi)
+            found.append(_Cell((pose, at, end), velocity, most * abs(self.gear), most * most + rate.size, half))
+            pose = end
         return found
 
-    def _cell(self, index: int, pose: _Pose, u: float, v: float) -> _Cell:
-        middle, rate = 0.5 * (u + v), self.rates[index]
-        half = max((Span(middle) - u).hi, (Span(v) - middle).hi)
-        if self.poses is not None:
-            a, b = ([Span(value) for value in one] for one in self.poses[index : index + 2])
-            step, shares = [q - p for p, q in zip(a, b, strict=True)], [Span(at) - u for at in (u, middle, v)]
-            pose = pose if u != self.knots[index] else _Pose(*a)
-            ends = [_Pose(*(p + d * share for p, d in zip(pose, step, strict=True))) for share in shares]
-            return _Cell((ends[0], ends[1], ends[2]), step, 0.0, (step[2] * step[2]).hi, half)
-        bends = [self.bend_at(index, Span(place)) for place in (u, middle, v)]
-        at, end = (pose.after(Span(to) - u, bends[0], rate, self.gear) for to in (middle, v))
-        most = Span(max(bend.size for bend in bends))
-        velocity, twist = [*at.yaw.turned(self.gear, 0.0), bends[1]], (most * most + rate.size).hi
-        return _Cell((pose, at, end), velocity, abs(self.gear) * most.hi, twist, half)
+
+class _Cell(NamedTuple):
+    poses: tuple[_Pose, _Pose, _Pose]  # at its ends and in its middle
+    velocity: list[Span]  # of x, y, yaw in its middle
+    bend: Span  # bounds as in (C4): of |p''|, of |yaw''| + yaw'^2
+    twist: Span
+    half: float  # its width
 
 
 class _Clearance:
     """The footprint, the obstacles, and the required clearance (C2), (C22) with the tracking tube (C17)."""
 
     def __init__(self, proof: dict[str, Any]) -> None:
-        robot, rule, x, y, yaw = proof["robot"], proof["clearance"], *proof["start"]["pose"]
-        self.ends = [[Span(value) for value in proof[key]["pose"][:2]] for key in ("dock", "start")]
-        outline, self.region, self.obstacles = robot["footprint"], proof["region"], proof["obstacles"]
-        self.pieces, edges = robot.get("pieces") or [outline], Counter[Any]()
+        robot, rule, (x, y, yaw) = proof["robot"], proof["clearance"], proof["start"]["pose"]
+        self.ends, outline = [proof["dock"]["pose"], proof["start"]["pose"]], robot["footprint"]
+        self.region, self.obstacles, self.pieces = proof["region"], proof["obstacles"], robot.get("pieces") or [outline]
+        edges: Counter[Any] = Counter()
         for sign, ring in ((1, outline), *((-1, piece) for piece in self.pieces)):
-            for a, b in pairwise([(x, y) for x, y in [*ring, ring[0]]]):
+            for a, b in pairwise([(px, py) for px, py in [*ring, ring[0]]]):
                 edges[min(a, b), max(a, b)] += sign * ((a < b) - (a > b))
-        # All inner edges cancel: every point inside the outline is also inside a piece, by their winding numbers.
+        # Inner edges cancel, so winding numbers agree: a point inside the outline is inside the hull of a piece.
         _hold(not any(edges.values()), "footprint: its convex pieces do not cover it")
-        self.boxes = [[Span.around(map(Span, one)) for one in zip(*rock, strict=True)] for rock in self.obstacles]
-        self.at_dock, self.taper, self.run = (rule[key] for key in ("at_dock", "taper", "dock_run"))
-        self.relief, self.at_start, (e, w) = rule["start_relief"], rule["at_start"], robot["tracking"]
-        ordered = rule["required"] >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi
+        self.boxes = [[Span.around([Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
+        self.at_dock, self.taper, self.run, self.relief = (rule[key] for key in _RULE)
+        self.at_start, (e, w), most = rule["at_start"], robot["tracking"], rule["required"]
         least = min(self.at_dock, self.taper, self.run, self.relief, self.at_start or 0.0, e, w)
-        _hold(ordered and least >= 0.0, "clearance: a number of the rule is negative or too large")
-        radius, xs = max(_length(Span(x), Span(y)) for x, y in outline), [x for x, _ in outline]
-        self.most = (
-            (Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + rule["required"]).hi if e or w else rule["required"]
-        )
-        spots = ([Span(yaw).turned(*point) for point in piece] for piece in self.pieces)
-        bodies = [[((px + x).lo, (py + y).lo) for px, py in spot] for spot in spots]
-        pairs = ((body, rock) for body in bodies for rock in self.obstacles)
-        # The clearance of the start is at most the length of some line to an obstacle, up to rounding.
-        self.kept = min((min(_gap(a, b), _gap(b, a)) for a, b in pairs), default=1e9) + 1e-14 * (
-            radius + abs(x) + abs(y)
-        )
-        eased = self.relief <= 2.0 * (max(xs) - min(xs)) * _WIDE and self.kept < self.most
+        _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
+        radius, length = max(_length(Span(px), Span(py)) for px, py in outline), [px for px, _ in outline]
+        self.most = (Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
+        spots = [[Span(yaw).turned(*point) for point in piece] for piece in self.pieces]
+        pairs = [([((px + x).lo, (py + y).lo) for px, py in one], rock) for one in spots for rock in self.obstacles]
+        # The clearance of the start is at most the length of some line to an obstacle, and its rounding.
+        self.kept = min((min(_gap(a, b), _gap(b, a)) for a, b in pairs), default=1e9)
+        self.kept += 1e-14 * (radius + abs(x) + abs(y))
+        eased = self.relief <= 2.0 * (max(length) - min(length)) * _WIDE and self.kept < self.most
         _hold(self.relief == 0.0 or eased, "clearance: start_relief is not allowed (C22)")
 
     def _tapered(self, distance: float, least: float) -> float:
@@ -230,30 +200,30 @@ class _Clearance:
             return float(least if beyond <= 0.0 else self.most)
         return (Span(beyond) / self.taper * (Span(self.most) - least) + least).hi
 
-    def _needed(self, cell: _Cell) -> float:
-        """Return an upper bound of the requirement in a cell, from its largest distances from goal and start (C7)."""
-        sag, outer = (Span(cell.bend) * cell.half * cell.half * 0.5).hi, (cell.poses[0], cell.poses[2])
-        far = [max(_length(at.x - x, at.y - y) for at in outer) for x, y in self.ends]
-        goal, start = ((Span(distance) + sag).hi for distance in far)
+    def needed(self, cell: _Cell) -> float:
+        """Return an upper bound of the requirement in a cell, from its largest distances from dock and start (C7)."""
+        sag, outer = cell.bend * cell.half * cell.half * 0.5, (cell.poses[0], cell.poses[2])
+        far = [max(_length(at.x - x, at.y - y) for at in outer) for x, y, _ in self.ends]
+        dock, start = ((sag + distance).hi for distance in far)
         kept = max(self.kept - 0.005, 0.5 * self.kept) if self.relief else self.kept
         leaving = (Span(max(0.0, (Span(start) - self.relief).hi)) * 0.5 + kept).hi
         if self.relief and self.at_start is not None:
             leaving = min(leaving, self._tapered(start, self.at_start))
-        return min(self._tapered(goal, self.at_dock), leaving)
+        return min(self._tapered(dock, self.at_dock), leaving)
 
     def check(self, cell: _Cell, planes: list[Any], where: str) -> None:
         """Check (C8) in a cell: from its middle, every corner of the footprint moves as in (C5)."""
         at, (vx, vy, turn), named = cell.poses[1], cell.velocity, {(o, p): Span(angle) for o, p, angle in planes}
-        need, half = (Span(self._needed(cell)) - TOLERANCE).hi, Span(-cell.half, cell.half)
+        need, half = (Span(self.needed(cell)) - TOLERANCE).hi, Span(-cell.half, cell.half)
         need = need if len(self.pieces) == 1 else max(need, 1e-12)  # no tolerance for overlaps between pieces
         reach, (x0, y0, x1, y1) = Span(-max(need, 0.0), max(need, 0.0)), self.region
         for number, piece in enumerate(self.pieces):
             corners = []
             for px, py in piece:
-                (x, y), arm = at.yaw.turned(px, py), _length(Span(px), Span(py))
-                stray = ((Span(cell.twist) * arm + cell.bend) * cell.half * cell.half * 0.5).hi
-                corners.append((at.x + x, at.y + y, vx - turn * y, vy + turn * x, Span(-stray, stray)))
-            wide, high = (Span.around(one[k] + one[k + 2] * half + one[4] + reach for one in corners) for k in (0, 1))
+                (x, y), stray = at.yaw.turned(px, py), cell.twist * _length(Span(px), Span(py)) + cell.bend
+                around = stray * half * half * 0.5  # half * half is [-half^2, half^2]
+                corners.append((at.x + x, at.y + y, vx - turn * y, vy + turn * x, around))
+            wide, high = (Span.around([one[k] + one[k + 2] * half + one[4] + reach for one in corners]) for k in (0, 1))
             inside = x0 <= wide.lo and y0 <= high.lo and wide.hi <= x1 and high.hi <= y1
             _hold(inside, f"clearance: the robot leaves the region {where}")
             for i, (across, along) in enumerate(self.boxes):
@@ -267,8 +237,7 @@ class _Clearance:
 
 
 def _gap(corners: list[Any], ring: list[Any]) -> float:
-    """Return the smallest distance of corners from the edges of a ring, up to rounding."""
-    best = math.inf
+    best = math.inf  # distance of corners from the edges of a ring, up to rounding
     for (ax, ay), (bx, by) in pairwise([*ring, ring[0]]):
         dx, dy = bx - ax, by - ay
         square = dx * dx + dy * dy
@@ -278,49 +247,35 @@ def _gap(corners: list[Any], ring: list[Any]) -> float:
     return best
 
 
-def _limits(proof: dict[str, Any]) -> dict[str, float]:
-    given = proof["robot"]["limits"]
-    _hold(
-        _LINEAR <= set(given) <= _LIMITS | {"track_width", "wheelbase"}, f"limits: no rule for one of {sorted(given)}"
-    )
-    return {**dict.fromkeys(_LIMITS, math.inf), "track_width": 0.0, "wheelbase": 0.0, **given}
-
-
 def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, Any]) -> None:
     """Check the path rules: ends, joints, gears, turns, curvature, final straight."""
-    start, dock, limits = proof["start"], proof["dock"], _limits(proof)
+    start, dock, limits = proof["start"], proof["dock"], proof["robot"]["limits"]
     first, last, driven = segments[0], segments[-1], [one for one in segments if one.gear != 0.0]
     begin, goal = (_Pose(*(Span(value) for value in one["pose"])) for one in (start, dock))
     gaps = [Span(a.gap_to(b.start)) for a, b in zip(ends[:-1], segments[1:], strict=True)]
     _hold(first.start.gap_to(begin) <= TOLERANCE, "start: the path does not begin there")
     _hold(ends[-1].gap_to(goal) <= TOLERANCE, "goal: the path does not end there")
     _hold(sum(gaps, _ZERO).hi <= TOLERANCE, "joint: the path jumps between its segments")
-    _hold(all(one.length.lo > 1e-5 for one in segments), "joint: a segment is too short to be judged")
     _hold(proof["robot"]["turns_in_place"] is True or len(driven) == len(segments), "turn: the robot cannot turn")
     at_rest = start["speed"] == start["acceleration"] == 0.0
     _hold(at_rest or first.gear != 0.0, "turn: the path begins with a turn, but the robot is not at rest")
     gears = {"auto": (1.0, -1.0), "forward": (1.0,), "backward": (-1.0,)}[dock["direction"]]
     _hold(not driven or driven[-1].gear in gears, "direction: the gear at the dock is not allowed")
     _hold(not driven or driven[0].gear * start["speed"] >= 0.0, "direction: the robot moves in the other gear")
-    for one in (one for one in driven if one.poses is None):
+    for one in driven:
         most, rate = max(map(abs, one.bends)), max(rate.size for rate in one.rates)
-        _hold(most <= limits["max_curvature"] * _WIDE, f"curvature: {most:g} 1/m on {one.where}")
-        _hold(rate <= limits["max_curvature_rate"] * _WIDE, f"curvature_rate: {rate:g} 1/m^2 on {one.where}")
         angle = math.atan((Span(most) * limits["wheelbase"]).hi) + _ACCURACY
-        _hold(angle <= limits["max_steering_angle"] * _WIDE, f"curvature: steering angle on {one.where}")
-    if first in driven and first.poses is None and start["curvature"] is not None:
+        _hold(most <= limits["max_curvature"] * _WIDE, f"curvature: {most:g} 1/m on {one.name}")
+        _hold(rate <= limits["max_curvature_rate"] * _WIDE, f"curvature_rate: {rate:g} 1/m^2 on {one.name}")
+        _hold(angle <= limits["max_steering_angle"] * _WIDE, f"curvature: {angle:g} rad of steering on {one.name}")
+    if first in driven and start["curvature"] is not None:
         _hold(abs(first.bends[0] - start["curvature"]) <= TOLERANCE, "start_curvature: differs from that of the start")
-    if dock["final_straight"] > 0.0 and last.poses is None:
-        _hold(last in driven and last.length.lo >= dock["final_straight"] - TOLERANCE, "final_straight: too short")
-        place = max(0.0, last.length.lo - dock["final_straight"]) + 1e-9
+    if (wanted := dock["final_straight"]) > 0.0:
+        _hold(last in driven and last.length.lo >= wanted - TOLERANCE, "final_straight: the last gear is too short")
+        place = max(0.0, last.length.lo - wanted) + 1e-9  # a rounded knot at the beginning is no curvature
         index = max(i for i, knot in enumerate(last.knots[:-1]) if knot <= place)
         bends = [last.bend_at(index, Span(place)).size, *map(abs, last.bends[index + 1 :])]
         _hold(max(bends) <= TOLERANCE, "final_straight: is not straight")
-
-
-@cache
-def _weights(n: int) -> list[list[Span]]:
-    return [[Span(float(math.comb(i, k))) / float(math.comb(n, k)) for k in range(i + 1)] for i in range(n + 1)]
 
 
 class _Polynomial:
@@ -340,51 +295,51 @@ class _Polynomial:
 
     def over(self, width: float) -> Span:
         """Return its range on [0, width], which lies between its Bernstein coefficients."""
-        powers = accumulate([Span(width)] * (len(self.terms) - 1), lambda a, b: a * b, initial=Span(1.0))
-        scaled = [term * power for term, power in zip(self.terms, powers, strict=True)]
-        rows = _weights(len(scaled) - 1)
-        return Span.around(sum((a * b for a, b in zip(row, scaled, strict=False)), _ZERO) for row in rows)
+        powers = accumulate([Span(width)] * (len(self.terms) - 1), Span.__mul__, initial=Span(1.0))
+        row = [term * power for term, power in zip(self.terms, powers, strict=True)]
+        n = len(row) - 1
+        row = [term / float(math.comb(n, k)) for k, term in enumerate(row)]
+        sums = [sum((row[k] * float(math.comb(i, k)) for k in range(i + 1)), _ZERO) for i in range(n + 1)]
+        return Span.around(sums)
 
 
 class _Motion:
     """The time law: phases of constant jerk; every segment has those between the rests at its ends (C14)."""
 
     def __init__(self, proof: dict[str, Any], segments: list[_Segment], phases: dict[str, Any]) -> None:
-        self.limits, self.segments, dock, start = _limits(proof), segments, proof["dock"], proof["start"]
-        self.begins = [*accumulate((one.length for one in segments), lambda a, b: a + b, initial=_ZERO)]
-        s, v, a = phases["start"]
+        self.limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
+        self.begins = [*accumulate((one.length for one in segments), Span.__add__, initial=_ZERO)]
+        (s, v, a), self.phases = phases["start"], [*zip(phases["durations"], phases["jerks"], strict=True)]
         self.states, self.back = [(Span(s), Span(v), Span(a))], 0.0
-        self.phases = [*zip(phases["durations"], phases["jerks"], strict=True)]
-        _hold(all(duration >= 0.0 for duration, _ in self.phases), "coverage: a duration is negative")
         for duration, jerk in self.phases:
+            _hold(duration >= 0.0, "coverage: a duration is negative")
             self.states.append(_after(self.states[-1], jerk, duration))
-        _hold(abs(s) <= TOLERANCE, "coverage: the motion does not begin with the path")
         sign = math.copysign(1.0, start["speed"]) if start["speed"] else segments[0].gear or 1.0
-        off = max(abs(v - abs(start["speed"])), abs(a - sign * start["acceleration"]))
-        _hold(off <= TOLERANCE, "start_state: speed or acceleration differ from those of the start")
-        self.zone, end = math.inf, self.begins[-1] - dock["approach_distance"]
+        off = max(abs(s), abs(v - abs(start["speed"])), abs(a - sign * start["acceleration"]))
+        _hold(off <= TOLERANCE, "start_state: place, speed or acceleration differ from those of the start")
+        self.zone, self.slow = self.begins[-1] - dock["approach_distance"], dock["approach_speed"]
         for one, at in zip(segments[::-1], self.begins[:0:-1], strict=True):
-            end = end - one.length if one.gear == 0.0 and at.hi > end.lo else end
-        if dock["approach_distance"] > 0.0 and dock["approach_speed"] is not None:
-            self.zone, self.zone_speed = end.lo, dock["approach_speed"]
+            self.zone = self.zone - one.length if one.gear == 0.0 and at.hi > self.zone.lo else self.zone
         base, most = self.limits["wheelbase"], min(self.limits["max_steering_angle"], 0.5 * math.pi)
-        most = min(most, math.atan(base * self.limits["max_curvature"])) if base else most
         angles = [[math.atan(one.bends[k] * one.gear * base) for k in (0, -1)] for one in segments]
-        unknown = most + abs(angles[0][0]) if start["curvature"] is None else 0.0
-        self.steered = [unknown, *(abs(b[0] - a[1]) for a, b in pairwise(angles))]  # at the start and at the cusps
+        if base and self.limits["max_curvature"] < math.inf:
+            most = min(most, math.atan(base * self.limits["max_curvature"]))
+        self.steered = [most + abs(angles[0][0]) if start["curvature"] is None else 0.0]
+        self.steered += [abs(b[0] - a[1]) for a, b in pairwise(angles)]  # at the start, and at the cusps
 
     def check(self) -> float:
         """Check rests, waits and every limit over the whole motion; return its duration [s]."""
         rests = [k for k, (_, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
         near = [[k for k in rests if (self.states[k][0] - place).size <= TOLERANCE] for place in self.begins]
-        _hold(len(self.phases) in near[-1], "rest: none at the end of the path")
         cuts, rate = [0], self.limits["max_steering_rate"]
         for i, found in enumerate(near[1:-1]):
             cuts += [k for k in found if k >= cuts[-1]][:1]
             _hold(len(cuts) == i + 2, f"rest: none after segment {i}")
+        _hold(len(self.phases) in near[-1], "rest: none at the end of the path")
         for found, angle in zip(near, self.steered, strict=False):
-            waits = sum((Span(t) for k, (t, _) in enumerate(self.phases) if {k, k + 1} <= set(found)), Span(TOLERANCE))
-            _hold(rate == math.inf or angle <= waits.lo * rate * _WIDE, "rest: too short to steer the wheels (C16)")
+            waits = [Span(t) for k, (t, _) in enumerate(self.phases) if {k, k + 1} <= set(found)]
+            enough = rate == math.inf or angle <= sum(waits, Span(TOLERANCE)).lo * rate * _WIDE
+            _hold(enough, "rest: too short to steer the wheels (C16)")
         for i, (first, last) in enumerate(pairwise([*cuts, len(self.phases)])):
             for k in range(first, last):
                 self._check_phase(i, k)
@@ -392,107 +347,87 @@ class _Motion:
         return math.fsum(t for t, _ in self.phases)
 
     def _check_phase(self, i: int, k: int) -> None:
-        """Divide a phase until every limit is proven on all parts."""
-        parts, jerk = [(self.states[k], self.phases[k][0])], self.phases[k][1]
-        while parts:
+        parts, (_, jerk) = [(self.states[k], self.phases[k][0])], self.phases[k]
+        while parts:  # divided until every limit is proven
             state, width = parts.pop()
-            broken, marks = self._broken(i, state, jerk, width)
-            if broken:
-                _hold(width > _SHORTEST, f"{broken}: beyond its limit, or unproven, near s = {state[0].lo:.4f} m")
-                cut = _cut(state, jerk, width, marks)
-                parts += [(state, cut), (_after(state, jerk, cut), (Span(width) - cut).hi)]
+            if broken := self._broken(i, state, jerk, width):
+                _hold(width > 1e-9, f"{broken}: beyond its limit, or unproven, near s = {state[0].lo:.4f} m")
+                rest = (_after(state, jerk, 0.5 * width), 0.5 * width)
+                parts += [(state, 0.5 * width), rest]
 
-    def _broken(self, i: int, state: _State, jerk: float, width: float) -> tuple[str, list[float]]:
-        """Return the first limit that is not proven on a part of a phase, and the borders inside the part [m]."""
+    def _broken(self, i: int, state: tuple[Span, Span, Span], jerk: float, width: float) -> str:
+        """Return the first limit that is not proven on a part of a phase."""
         one, (s, v, a), j = self.segments[i], state, Span(jerk)
-        at, speed = _Polynomial(s - self.begins[i], v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
-        knots, last = one.knots, len(one.rates) - 1
-        inside = [k for k in range(last + 1) if (k == 0 or knots[k] <= at.hi) and (k == last or knots[k + 1] >= at.lo)]
-        ramp, marks = Span.around(one.rates[k] for k in inside), [self.begins[i].lo + knots[k] for k in inside[1:]]
+        at, knots, last = s - self.begins[i], one.knots, len(one.rates) - 1
+        span, speed = _Polynomial(at, v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
+        inside = [k for k in range(last + 1) if k == 0 or knots[k] <= span.hi if k == last or knots[k + 1] >= span.lo]
+        ramp, ends = Span.around([one.rates[k] for k in inside]), (span.lo, span.hi)
         if len(inside) == 1:
-            bend = _Polynomial(one.bend_at(inside[0], s - self.begins[i]), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
+            bend = _Polynomial(one.bend_at(inside[0], at), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
         else:
-            parts = [Span(*(min(max(end, knots[k]), knots[k + 1]) for end in (at.lo, at.hi))) for k in inside]
-            bend = _Polynomial(Span.around(one.bend_at(k, part) for k, part in zip(inside, parts, strict=True)))
-        place = at + self.begins[i]
-        for name, terms, least, most in self._quantities(one, place, (speed, _Polynomial(a, j), bend, ramp)):
+            parts = {k: Span(*(min(max(end, knots[k]), knots[k + 1]) for end in ends)) for k in inside}
+            bend = _Polynomial(Span.around([one.bend_at(k, part) for k, part in parts.items()]))
+        in_zone = self.slow is not None and (span + self.begins[i]).hi > self.zone.lo
+        motion = speed, _Polynomial(a, j), bend, _Polynomial(ramp)
+        for name, terms, least, most in self._quantities(one, self.slow if in_zone else math.inf, motion):
             found = terms.over(width)
             if not least * _WIDE <= found.lo <= found.hi <= most * _WIDE:
-                return name, [*marks, *[self.zone] * (place.lo < self.zone < place.hi)]
+                return name
         self.back += width * max(0.0, -speed.over(width).lo)
-        return "", []
+        return ""
 
-    def _quantities(
-        self, one: _Segment, place: Span, motion: tuple[_Polynomial, _Polynomial, _Polynomial, Span]
-    ) -> Iterator[tuple[str, _Polynomial, float, float]]:
-        """Yield each limited quantity with its bounds; the table after (C12) lists them."""
-        (v, a, k, ramp), limits, lever = motion, self.limits, 0.5 * self.limits["track_width"]
-        up, down, jerk, rate = (
-            limits[f"max_{key}"] for key in ("acceleration", "deceleration", "jerk", "steering_rate")
+    def _quantities(self, one: _Segment, top: float, motion: tuple[_Polynomial, ...]) -> list[Any]:
+        """Return each limited quantity with its bounds; the table after (C12) lists them."""
+        (v, a, k, r), get = motion, self.limits.__getitem__
+        up, down, jerk, lever = (
+            get("max_acceleration"),
+            get("max_deceleration"),
+            get("max_jerk"),
+            0.5 * get("track_width"),
         )
-        top = min(limits["max_speed" if one.gear > 0.0 else "max_reverse_speed"], math.inf)
         if one.gear == 0.0:  # (G3)
-            top = min(limits["max_yaw_rate"], limits["max_wheel_speed"] / lever if lever else math.inf)
-            gain = min(limits["max_yaw_acceleration"], min(up, down) / lever if lever else math.inf)
-            up, down, jerk = gain, gain, gain * jerk / max(up, down)
-        elif place.hi > self.zone:
-            top = min(top, self.zone_speed)
-        yield "speed", v, -TOLERANCE, top
-        yield "acceleration", a, -down, up
-        yield "jerk", _Polynomial(a.terms[1]), -jerk, jerk
-        r, half, base = _Polynomial(ramp), _Polynomial(Span(lever)), limits["wheelbase"]
+            top = min(get("max_yaw_rate"), get("max_wheel_speed") / lever if lever else math.inf)
+            gain = min(get("max_yaw_acceleration"), min(up, down) / lever if lever else math.inf)
+            jerk, up, down = gain * jerk / max(up, down), gain, gain
+        else:
+            top = min(top, get("max_speed" if one.gear > 0.0 else "max_reverse_speed"))
+        found = [("speed", v, -TOLERANCE, top), ("acceleration", a, -down, up)]
+        found += [("jerk", _Polynomial(a.terms[1]), -jerk, jerk)]
         for name, terms in (
-            ("yaw_rate", lambda: v * k),
-            ("yaw_acceleration", lambda: a * k + v * v * r),
-            ("lateral_acceleration", lambda: v * v * k),
-            ("lateral_jerk", lambda: v * (a * k + a * k + v * v * r)),
-            ("wheel_speed", lambda: v + v * k * half),
-            ("wheel_speed", lambda: v + v * k * half * _Polynomial(Span(-1.0))),
+            ()
+            if one.gear == 0.0
+            else (
+                ("max_yaw_rate", v * k),
+                ("max_yaw_acceleration", a * k + v * v * r),
+                ("max_lateral_acceleration", v * v * k),
+                ("max_lateral_jerk", v * (a * k + a * k + v * v * r)),
+                ("max_wheel_speed", v + v * k * _Polynomial(Span(lever))),
+                ("max_wheel_speed", v + v * k * _Polynomial(Span(-lever))),
+            )
         ):
-            if limits[f"max_{name}"] < math.inf and one.gear != 0.0:
-                yield name, terms(), -limits[f"max_{name}"], limits[f"max_{name}"]
-        for side in (base, -base) if rate < math.inf and one.gear != 0.0 else ():
+            found += [(name, terms, -get(name), get(name))]
+        base, rate = get("wheelbase"), get("max_steering_rate")
+        if rate < math.inf and one.gear != 0.0:  # |base * r * v| <= rate * (1 + (base * k)^2)
             slack = k * k * _Polynomial(Span(base) * base * -rate)
-            yield "steering_rate", v * r * _Polynomial(Span(side)) + slack, -math.inf, rate
+            found += [
+                ("max_steering_rate", v * r * _Polynomial(Span(side)) + slack, -math.inf, rate)
+                for side in (base, -base)
+            ]
+        return found
 
 
-_State = tuple[Span, Span, Span]
-
-
-def _after(state: _State, jerk: float, t: float) -> _State:
-    """Return distance, speed and acceleration after a time of constant jerk."""
-    (s, v, a), gain = state, Span(jerk) * t
+def _after(state: tuple[Span, Span, Span], jerk: float, t: float) -> tuple[Span, Span, Span]:
+    (s, v, a), gain = state, Span(jerk) * t  # after a time t of constant jerk
     return s + (v + (a * 0.5 + gain / 6.0) * t) * t, v + (a + gain * 0.5) * t, a + gain
 
 
-def _cut(state: _State, jerk: float, width: float, marks: list[float]) -> float:
-    """Return where to divide a part: just before or after it reaches a mark, or in the middle."""
-    s, v, a = (one.lo for one in state)
-    for mark in marks:
-        low, high = 0.0, width
-        for _ in range(60):
-            t = 0.5 * (low + high)
-            low, high = (low, t) if s + t * (v + t * (0.5 * a + t * jerk / 6.0)) >= mark else (t, high)
-        for cut in (low - 0.4 * _SHORTEST, low + 0.4 * _SHORTEST):
-            if 0.5 * _SHORTEST < cut < width - 0.1 * _SHORTEST:
-                return cut
-    return 0.5 * width
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    _hold(len(dict(pairs)) == len(pairs), "JSON: a key is repeated")
+    return dict(pairs)
 
 
-def _read(text: str) -> dict[str, Any]:
-    """Return the object of a strict JSON text, in which every number is a finite float."""
-
-    def number(digits: str) -> float:
-        if not math.isfinite(float(digits)):
-            raise ValueError(f"{digits[:20]} is not a finite number")
-        return float(digits)
-
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        if len(dict(pairs)) != len(pairs):
-            raise ValueError(f"a key is repeated among {[key for key, _ in pairs][:20]}")
-        return dict(pairs)
-
-    return dict(json.loads(text, parse_int=number, parse_float=number, parse_constant=number, object_pairs_hook=unique))
+def _number(digits: str) -> float:
+    return Span(float(digits)).lo  # finite
 
 
 def judge(text: str) -> str:
@@ -501,23 +436,27 @@ def judge(text: str) -> str:
     Raises:
         Refusal: If a rule is broken or not proven.
     """
-    plan = _read(text)
-    proof, motion, clearance = plan["proof"], plan.get("trajectory"), _Clearance(plan["proof"])
+    numbers = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), _number)
+    plan = json.loads(text, object_pairs_hook=_unique, **numbers)
+    proof, motion, limits = plan["proof"], plan.get("trajectory"), plan["proof"]["robot"]["limits"]
+    _hold(
+        _NEEDED <= set(limits) <= {*_LIMITS, "wheelbase", "track_width"}, f"limits: no rule for all of {sorted(limits)}"
+    )
+    _hold(all(type(value) is float and value >= 0.0 for value in limits.values()), "limits: must be numbers >= 0")
+    proof["robot"]["limits"] = {**dict.fromkeys(_LIMITS, math.inf), "wheelbase": 0.0, "track_width": 0.0, **limits}
     segments, ends = [_Segment(curve, f"segment {i}") for i, curve in enumerate(plan["path"]["segments"])], []
-    _hold(0 < len(segments) == len(proof["cells"]), "cells: every segment must have its own")
-    for segment, part in zip(segments, proof["cells"], strict=True):
-        cells = segment.cells(part["borders"])
-        _hold(len(cells) == len(part["planes"]), f"cells: {segment.where} needs a list of planes for every cell")
-        for k, (cell, planes) in enumerate(zip(cells, part["planes"], strict=True)):
-            clearance.check(cell, planes, f"in cell {k} of {segment.where}")
-        ends.append(cells[-1].poses[2])
+    clearance, cells = _Clearance(proof), proof["cells"]
+    _hold(0 < len(segments) == len(cells), "cells: every segment needs its own")
+    for segment, part in zip(segments, cells, strict=True):
+        found = segment.cells(part["borders"])
+        _hold(len(found) == len(part["planes"]), f"cells: every cell of {segment.name} needs a list of planes")
+        for k, (cell, planes) in enumerate(zip(found, part["planes"], strict=True)):
+            clearance.check(cell, planes, f"in cell {k} of {segment.name}")
+        ends.append(found[-1].poses[2])
     _check_path(segments, ends, proof)
-    poses = any(one.poses is not None for one in segments)
-    left = ["samples", "raw_path", "certificate", "whether the stated problem is the real one"]
-    left += ["curvature and slip of poses"] * poses + ["motion"] * (poses or motion is None)
-    left += ["view of the dock"] * bool(proof["dock"].get("visible_distance"))
-    timed = "" if poses or motion is None else f", {_Motion(proof, segments, motion['phases']).check():.3f} s of motion"
-    return f"accepted: path among {len(clearance.obstacles)} obstacles{timed}; not judged: {', '.join(left)}"
+    timed = "no motion" if motion is None else f"{_Motion(proof, segments, motion['phases']).check():.3f} s of motion"
+    left = "samples, raw_path, certificate, view of the dock, and whether the stated problem is the real one"
+    return f"accepted: path among {len(clearance.obstacles)} obstacles, {timed}; not judged: {left}"
 
 
 def main(arguments: list[str] | None = None) -> int:
