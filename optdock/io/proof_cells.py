@@ -74,7 +74,7 @@ def _stated(path: Path, problem: DockingProblem, start_relief: float) -> tuple[d
         "robot": {
             "footprint": robot.footprint.vertices.tolist(),
             **(pieces if len(robot.footprint.bodies) > 1 else {}),
-            "turns_in_place": robot.turns_in_place,
+            "turning": list(limits.turning) if robot.turns_in_place else None,
             "tracking": [robot.tracking.cross, robot.tracking.yaw],
             "limits": {**finite_limits(limits), **sizes},
         },

@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 __all__ = ["Refusal", "Span", "judge", "main"]
 
 TOLERANCE = 1e-6  # [m], [rad], and relative to limits, as in the certificate
+_REST = "required", "start_relief", "at_start"
 _WIDE, _ACCURACY = 1.0 + TOLERANCE, 2.0**-50  # of limits, and of the mathematical functions
-_RULE = "at_dock", "taper", "dock_run", "start_relief"
 _NEEDED = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}
-_LIMITS = _NEEDED | {"max_yaw_rate", "max_yaw_acceleration", "max_lateral_acceleration", "max_lateral_jerk"}
-_LIMITS |= {"max_wheel_speed", "max_curvature", "max_curvature_rate", "max_steering_angle", "max_steering_rate"}
+_TURNING = "yaw_rate yaw_acceleration lateral_acceleration lateral_jerk wheel_speed steering_rate".split()
+_LIMITS = _NEEDED | {f"max_{name}" for name in (*_TURNING, "curvature", "curvature_rate", "steering_angle")}
 
 
 class Refusal(Exception):
@@ -66,8 +66,6 @@ class Span:
         o = other if isinstance(other, Span) else Span(other)
         _hold(o.lo > 0.0, "arithmetic: a divisor must be positive")
         return self * Span(math.nextafter(1.0 / o.hi, 0.0), math.nextafter(1.0 / o.lo, math.inf))
-
-    __radd__, __rmul__ = __add__, __mul__
 
     @property
     def size(self) -> float:
@@ -141,8 +139,8 @@ class _Segment:
         """Return the curvature at a place on the piece after knot `index`."""
         return self.rates[index] * (place - self.knots[index]) + self.bends[index]
 
-    def cells(self, borders: list[float]) -> list[_Cell]:
-        """Return the cells between the borders, which must go from end to end through all knots."""
+    def cells(self, borders: list[float]) -> list[tuple[Any, ...]]:
+        """Return poses, velocity in the middle, bounds (C4) and half width of the cells between all the borders."""
         whole = borders[0] == self.knots[0] and borders[-1] == self.knots[-1] and set(self.knots) <= set(borders)
         _hold(whole and all(a < b for a, b in pairwise(borders)), f"cells: they do not cover {self.name} in order")
         found, pose, index = [], self.start, 0
@@ -151,19 +149,11 @@ class _Segment:
             middle, rate = 0.5 * (u + v), self.rates[index]
             bends = [self.bend_at(index, Span(place)) for place in (u, middle, v)]
             at, end = (pose.after(Span(to) - u, bends[0], rate, self.gear) for to in (middle, v))
-            velocity, most = [*at.yaw.turned(self.gear, 0.0), bends[1]], Span(max(bend.size for bend in bends))
+            velocity, most = (*at.yaw.turned(self.gear, 0.0), bends[1]), Span(max(bend.size for bend in bends))
             half = max((Span(middle) - u).hi, (Span(v) - middle).hi)
-            found.append(_Cell((pose, at, end), velocity, most * abs(self.gear), most * most + rate.size, half))
+            found.append(((pose, at, end), velocity, most * abs(self.gear), most * most + rate.size, half))
             pose = end
         return found
-
-
-class _Cell(NamedTuple):
-    poses: tuple[_Pose, _Pose, _Pose]  # at its ends and in its middle
-    velocity: list[Span]  # of x, y, yaw in its middle
-    bend: Span  # bounds as in (C4): of |p''|, of |yaw''| + yaw'^2
-    twist: Span
-    half: float  # its width
 
 
 class _Clearance:
@@ -180,8 +170,8 @@ class _Clearance:
         # Inner edges cancel, so winding numbers agree: a point inside the outline is inside the hull of a piece.
         _hold(not any(edges.values()), "footprint: its convex pieces do not cover it")
         self.boxes = [[Span.around([Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
-        self.at_dock, self.taper, self.run, self.relief = (rule[key] for key in _RULE)
-        self.at_start, (e, w), most = rule["at_start"], robot["tracking"], rule["required"]
+        self.at_dock, self.taper, self.run = rule["at_dock"], rule["taper"], rule["dock_run"]
+        (e, w), most, self.relief, self.at_start = robot["tracking"], *(rule[key] for key in _REST)
         least = min(self.at_dock, self.taper, self.run, self.relief, self.at_start or 0.0, e, w)
         _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
         radius, length = max(_length(Span(px), Span(py)) for px, py in outline), [px for px, _ in outline]
@@ -200,10 +190,9 @@ class _Clearance:
             return float(least if beyond <= 0.0 else self.most)
         return (Span(beyond) / self.taper * (Span(self.most) - least) + least).hi
 
-    def needed(self, cell: _Cell) -> float:
+    def needed(self, first: _Pose, last: _Pose, sag: Span) -> float:
         """Return an upper bound of the requirement in a cell, from its largest distances from dock and start (C7)."""
-        sag, outer = cell.bend * cell.half * cell.half * 0.5, (cell.poses[0], cell.poses[2])
-        far = [max(_length(at.x - x, at.y - y) for at in outer) for x, y, _ in self.ends]
+        far = [max(_length(at.x - x, at.y - y) for at in (first, last)) for x, y, _ in self.ends]
         dock, start = ((sag + distance).hi for distance in far)
         kept = max(self.kept - 0.005, 0.5 * self.kept) if self.relief else self.kept
         leaving = (Span(max(0.0, (Span(start) - self.relief).hi)) * 0.5 + kept).hi
@@ -211,16 +200,17 @@ class _Clearance:
             leaving = min(leaving, self._tapered(start, self.at_start))
         return min(self._tapered(dock, self.at_dock), leaving)
 
-    def check(self, cell: _Cell, planes: list[Any], where: str) -> None:
+    def check(self, cell: tuple[Any, ...], planes: list[Any], where: str) -> None:
         """Check (C8) in a cell: from its middle, every corner of the footprint moves as in (C5)."""
-        at, (vx, vy, turn), named = cell.poses[1], cell.velocity, {(o, p): Span(angle) for o, p, angle in planes}
-        need, half = (Span(self.needed(cell)) - TOLERANCE).hi, Span(-cell.half, cell.half)
+        (first, at, last), (vx, vy, turn), bend, twist, width = cell
+        half, named = Span(-width, width), {(o, p): Span(angle) for o, p, angle in planes}
+        need = (Span(self.needed(first, last, bend * width * width * 0.5)) - TOLERANCE).hi
         need = need if len(self.pieces) == 1 else max(need, 1e-12)  # no tolerance for overlaps between pieces
         reach, (x0, y0, x1, y1) = Span(-max(need, 0.0), max(need, 0.0)), self.region
         for number, piece in enumerate(self.pieces):
             corners = []
             for px, py in piece:
-                (x, y), stray = at.yaw.turned(px, py), cell.twist * _length(Span(px), Span(py)) + cell.bend
+                (x, y), stray = at.yaw.turned(px, py), twist * _length(Span(px), Span(py)) + bend
                 around = stray * half * half * 0.5  # half * half is [-half^2, half^2]
                 corners.append((at.x + x, at.y + y, vx - turn * y, vy + turn * x, around))
             wide, high = (Span.around([one[k] + one[k + 2] * half + one[4] + reach for one in corners]) for k in (0, 1))
@@ -256,9 +246,8 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
     _hold(first.start.gap_to(begin) <= TOLERANCE, "start: the path does not begin there")
     _hold(ends[-1].gap_to(goal) <= TOLERANCE, "goal: the path does not end there")
     _hold(sum(gaps, _ZERO).hi <= TOLERANCE, "joint: the path jumps between its segments")
-    _hold(proof["robot"]["turns_in_place"] is True or len(driven) == len(segments), "turn: the robot cannot turn")
-    at_rest = start["speed"] == start["acceleration"] == 0.0
-    _hold(at_rest or first.gear != 0.0, "turn: the path begins with a turn, but the robot is not at rest")
+    _hold(proof["robot"]["turning"] is not None or len(driven) == len(segments), "turn: the robot cannot turn")
+    _hold(first in driven or start["speed"] == start["acceleration"] == 0.0, "turn: the robot begins at speed")
     gears = {"auto": (1.0, -1.0), "forward": (1.0,), "backward": (-1.0,)}[dock["direction"]]
     _hold(not driven or driven[-1].gear in gears, "direction: the gear at the dock is not allowed")
     _hold(not driven or driven[0].gear * start["speed"] >= 0.0, "direction: the robot moves in the other gear")
@@ -295,19 +284,18 @@ class _Polynomial:
 
     def over(self, width: float) -> Span:
         """Return its range on [0, width], which lies between its Bernstein coefficients."""
-        powers = accumulate([Span(width)] * (len(self.terms) - 1), Span.__mul__, initial=Span(1.0))
-        row = [term * power for term, power in zip(self.terms, powers, strict=True)]
-        n = len(row) - 1
-        row = [term / float(math.comb(n, k)) for k, term in enumerate(row)]
-        sums = [sum((row[k] * float(math.comb(i, k)) for k in range(i + 1)), _ZERO) for i in range(n + 1)]
-        return Span.around(sums)
+        n = len(self.terms) - 1
+        powers = [*accumulate([Span(width)] * n, Span.__mul__, initial=Span(1.0))]
+        row = [term * powers[k] / float(math.comb(n, k)) for k, term in enumerate(self.terms)]
+        sums = [[row[k] * float(math.comb(i, k)) for k in range(i + 1)] for i in range(n + 1)]
+        return Span.around([sum(terms, _ZERO) for terms in sums])
 
 
 class _Motion:
     """The time law: phases of constant jerk; every segment has those between the rests at its ends (C14)."""
 
     def __init__(self, proof: dict[str, Any], segments: list[_Segment], phases: dict[str, Any]) -> None:
-        self.limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
+        limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
         self.begins = [*accumulate((one.length for one in segments), Span.__add__, initial=_ZERO)]
         (s, v, a), self.phases = phases["start"], [*zip(phases["durations"], phases["jerks"], strict=True)]
         self.states, self.back = [(Span(s), Span(v), Span(a))], 0.0
@@ -320,10 +308,12 @@ class _Motion:
         self.zone, self.slow = self.begins[-1] - dock["approach_distance"], dock["approach_speed"]
         for one, at in zip(segments[::-1], self.begins[:0:-1], strict=True):
             self.zone = self.zone - one.length if one.gear == 0.0 and at.hi > self.zone.lo else self.zone
-        base, most = self.limits["wheelbase"], min(self.limits["max_steering_angle"], 0.5 * math.pi)
+        rate, gain, jerk = proof["robot"]["turning"] or (0.0, 0.0, 0.0)  # limits of turns in place (G3)
+        turning = {"max_reverse_speed": rate, "max_acceleration": gain, "max_deceleration": gain, "max_jerk": jerk}
+        self.turning = {**dict.fromkeys(limits, math.inf), "track_width": 0.0, "wheelbase": 0.0, **turning}
+        self.limits, base, most = limits, limits["wheelbase"], limits["max_steering_angle"]
+        most = most if most < math.inf else math.atan(base * min(limits["max_curvature"], 1e9))
         angles = [[math.atan(one.bends[k] * one.gear * base) for k in (0, -1)] for one in segments]
-        if base and self.limits["max_curvature"] < math.inf:
-            most = min(most, math.atan(base * self.limits["max_curvature"]))
         self.steered = [most + abs(angles[0][0]) if start["curvature"] is None else 0.0]
         self.steered += [abs(b[0] - a[1]) for a, b in pairwise(angles)]  # at the start, and at the cusps
 
@@ -341,34 +331,30 @@ class _Motion:
             enough = rate == math.inf or angle <= sum(waits, Span(TOLERANCE)).lo * rate * _WIDE
             _hold(enough, "rest: too short to steer the wheels (C16)")
         for i, (first, last) in enumerate(pairwise([*cuts, len(self.phases)])):
-            for k in range(first, last):
-                self._check_phase(i, k)
+            parts = [(state, *phase) for state, phase in zip(self.states, self.phases, strict=False)][first:last]
+            while parts:  # divided until every limit is proven
+                state, width, jerk = parts.pop()
+                if broken := self._broken(i, state, jerk, width):
+                    _hold(width > 1e-9, f"{broken}: beyond its limit, or unproven, near s = {state[0].lo:.4f} m")
+                    parts += [(at, 0.5 * width, jerk) for at in (state, _after(state, jerk, 0.5 * width))]
         _hold(self.back <= TOLERANCE, "coverage: the motion runs backwards")
         return math.fsum(t for t, _ in self.phases)
-
-    def _check_phase(self, i: int, k: int) -> None:
-        parts, (_, jerk) = [(self.states[k], self.phases[k][0])], self.phases[k]
-        while parts:  # divided until every limit is proven
-            state, width = parts.pop()
-            if broken := self._broken(i, state, jerk, width):
-                _hold(width > 1e-9, f"{broken}: beyond its limit, or unproven, near s = {state[0].lo:.4f} m")
-                rest = (_after(state, jerk, 0.5 * width), 0.5 * width)
-                parts += [(state, 0.5 * width), rest]
 
     def _broken(self, i: int, state: tuple[Span, Span, Span], jerk: float, width: float) -> str:
         """Return the first limit that is not proven on a part of a phase."""
         one, (s, v, a), j = self.segments[i], state, Span(jerk)
         at, knots, last = s - self.begins[i], one.knots, len(one.rates) - 1
         span, speed = _Polynomial(at, v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
-        inside = [k for k in range(last + 1) if k == 0 or knots[k] <= span.hi if k == last or knots[k + 1] >= span.lo]
+        within = [(not k or knots[k] <= span.hi) and (k == last or knots[k + 1] >= span.lo) for k in range(last + 1)]
+        inside = [k for k, is_within in enumerate(within) if is_within]
         ramp, ends = Span.around([one.rates[k] for k in inside]), (span.lo, span.hi)
         if len(inside) == 1:
             bend = _Polynomial(one.bend_at(inside[0], at), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
         else:
             parts = {k: Span(*(min(max(end, knots[k]), knots[k + 1]) for end in ends)) for k in inside}
             bend = _Polynomial(Span.around([one.bend_at(k, part) for k, part in parts.items()]))
-        in_zone = self.slow is not None and (span + self.begins[i]).hi > self.zone.lo
         motion = speed, _Polynomial(a, j), bend, _Polynomial(ramp)
+        in_zone = self.slow is not None and one.gear != 0.0 and (span + self.begins[i]).hi > self.zone.lo
         for name, terms, least, most in self._quantities(one, self.slow if in_zone else math.inf, motion):
             found = terms.over(width)
             if not least * _WIDE <= found.lo <= found.hi <= most * _WIDE:
@@ -378,42 +364,24 @@ class _Motion:
 
     def _quantities(self, one: _Segment, top: float, motion: tuple[_Polynomial, ...]) -> list[Any]:
         """Return each limited quantity with its bounds; the table after (C12) lists them."""
-        (v, a, k, r), get = motion, self.limits.__getitem__
-        up, down, jerk, lever = (
-            get("max_acceleration"),
-            get("max_deceleration"),
-            get("max_jerk"),
-            0.5 * get("track_width"),
-        )
-        if one.gear == 0.0:  # (G3)
-            top = min(get("max_yaw_rate"), get("max_wheel_speed") / lever if lever else math.inf)
-            gain = min(get("max_yaw_acceleration"), min(up, down) / lever if lever else math.inf)
-            jerk, up, down = gain * jerk / max(up, down), gain, gain
-        else:
-            top = min(top, get("max_speed" if one.gear > 0.0 else "max_reverse_speed"))
-        found = [("speed", v, -TOLERANCE, top), ("acceleration", a, -down, up)]
-        found += [("jerk", _Polynomial(a.terms[1]), -jerk, jerk)]
-        for name, terms in (
-            ()
-            if one.gear == 0.0
-            else (
-                ("max_yaw_rate", v * k),
-                ("max_yaw_acceleration", a * k + v * v * r),
-                ("max_lateral_acceleration", v * v * k),
-                ("max_lateral_jerk", v * (a * k + a * k + v * v * r)),
-                ("max_wheel_speed", v + v * k * _Polynomial(Span(lever))),
-                ("max_wheel_speed", v + v * k * _Polynomial(Span(-lever))),
-            )
-        ):
-            found += [(name, terms, -get(name), get(name))]
-        base, rate = get("wheelbase"), get("max_steering_rate")
-        if rate < math.inf and one.gear != 0.0:  # |base * r * v| <= rate * (1 + (base * k)^2)
-            slack = k * k * _Polynomial(Span(base) * base * -rate)
-            found += [
-                ("max_steering_rate", v * r * _Polynomial(Span(side)) + slack, -math.inf, rate)
-                for side in (base, -base)
-            ]
-        return found
+        (v, a, k, r), limits = motion, self.limits if one.gear else self.turning
+        lever, base, steep = 0.5 * limits["track_width"], limits["wheelbase"], limits["max_steering_rate"]
+        slack = k * k * _Polynomial(Span(base) * base * -min(steep, 1e9))
+        symmetric = [
+            ("max_jerk", _Polynomial(a.terms[1])),
+            ("max_yaw_rate", v * k),
+            ("max_yaw_acceleration", a * k + v * v * r),
+            ("max_lateral_acceleration", v * v * k),
+            ("max_lateral_jerk", v * (a * k + a * k + v * v * r)),
+            *(("max_wheel_speed", v + v * k * _Polynomial(Span(side))) for side in (lever, -lever)),
+        ]
+        return [
+            ("speed", v, -TOLERANCE, min(top, limits["max_speed" if one.gear > 0.0 else "max_reverse_speed"])),
+            ("acceleration", a, -limits["max_deceleration"], limits["max_acceleration"]),
+            *((name, terms, -limits[name], limits[name]) for name, terms in symmetric),
+            # |base * r * v| <= steep * (1 + (base * k)^2)
+            *(("steering_rate", v * r * _Polynomial(Span(side)) + slack, -math.inf, steep) for side in (base, -base)),
+        ]
 
 
 def _after(state: tuple[Span, Span, Span], jerk: float, t: float) -> tuple[Span, Span, Span]:
@@ -426,22 +394,13 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _number(digits: str) -> float:
-    return Span(float(digits)).lo  # finite
-
-
 def judge(text: str) -> str:
-    """Return a sentence about what was accepted and what was not judged.
-
-    Raises:
-        Refusal: If a rule is broken or not proven.
-    """
-    numbers = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), _number)
-    plan = json.loads(text, object_pairs_hook=_unique, **numbers)
+    """Return a sentence about what was accepted and what was not judged; raise `Refusal` if a rule is not proven."""
+    numbers = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), lambda digits: Span(float(digits)).lo)
+    plan: dict[str, Any] = json.loads(text, object_pairs_hook=_unique, **numbers)
     proof, motion, limits = plan["proof"], plan.get("trajectory"), plan["proof"]["robot"]["limits"]
-    _hold(
-        _NEEDED <= set(limits) <= {*_LIMITS, "wheelbase", "track_width"}, f"limits: no rule for all of {sorted(limits)}"
-    )
+    known = _NEEDED <= set(limits) <= {*_LIMITS, "wheelbase", "track_width"}
+    _hold(known, f"limits: a rule or a needed limit is missing among {sorted(limits)}")
     _hold(all(type(value) is float and value >= 0.0 for value in limits.values()), "limits: must be numbers >= 0")
     proof["robot"]["limits"] = {**dict.fromkeys(_LIMITS, math.inf), "wheelbase": 0.0, "track_width": 0.0, **limits}
     segments, ends = [_Segment(curve, f"segment {i}") for i, curve in enumerate(plan["path"]["segments"])], []
@@ -452,7 +411,7 @@ def judge(text: str) -> str:
         _hold(len(found) == len(part["planes"]), f"cells: every cell of {segment.name} needs a list of planes")
         for k, (cell, planes) in enumerate(zip(found, part["planes"], strict=True)):
             clearance.check(cell, planes, f"in cell {k} of {segment.name}")
-        ends.append(found[-1].poses[2])
+        ends.append(found[-1][0][2])
     _check_path(segments, ends, proof)
     timed = "no motion" if motion is None else f"{_Motion(proof, segments, motion['phases']).check():.3f} s of motion"
     left = "samples, raw_path, certificate, view of the dock, and whether the stated problem is the real one"
@@ -462,15 +421,13 @@ def judge(text: str) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Judge the file that is named on the command line; return the exit status."""
     try:
-        with Path((arguments or sys.argv[1:])[0]).open("rb") as stream:
-            sys.stdout.write(judge(stream.read(32_000_000).decode()) + "\n")
+        status, said = 0, judge(Path((arguments or sys.argv[1:])[0]).read_text(encoding="utf-8"))
     except Refusal as error:
-        sys.stderr.write(f"refused: {error}\n")
-        return 3
+        status, said = 3, f"refused: {error}"
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError) as error:
-        sys.stderr.write(f"not a plan file with a proof: {type(error).__name__}: {error}\n")
-        return 2
-    return 0
+        status, said = 2, f"not a plan file with a proof: {type(error).__name__}: {error}"
+    (sys.stderr if status else sys.stdout).write(f"{said}\n")
+    return status
 
 
 if __name__ == "__main__":
