@@ -66,6 +66,8 @@ def statement_of(path: Path, problem: DockingProblem, start_relief: float) -> di
 def _stated(path: Path, problem: DockingProblem, start_relief: float) -> tuple[dict[str, object], ObstacleSet]:
     robot, dock, rule = problem.robot, problem.dock, problem.clearance
     limits = robot.limits
+    # The steering angle is included in the largest curvature.
+    bounds = {name: value for name, value in finite_limits(limits).items() if name != "max_steering_angle"}
     sizes = {name: getattr(limits, name) for name in ("track_width", "wheelbase")}
     pieces = {"pieces": [body.vertices.tolist() for body in robot.footprint.bodies]}
     speed, seen = dock.approach.speed, {"visible_distance": dock.visible_distance}
@@ -76,7 +78,7 @@ def _stated(path: Path, problem: DockingProblem, start_relief: float) -> tuple[d
             **(pieces if len(robot.footprint.bodies) > 1 else {}),
             "turning": list(limits.turning) if robot.turns_in_place else None,
             "tracking": [robot.tracking.cross, robot.tracking.yaw],
-            "limits": {**finite_limits(limits), **sizes},
+            "limits": {**bounds, **sizes},
         },
         "start": {
             "pose": problem.start.as_array().tolist(),

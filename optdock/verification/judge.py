@@ -1,11 +1,11 @@
 """Second judge of plan files: `python judge.py plan.json` accepts or refuses path, clearance and motion limits.
 
-This file uses the standard library only and imports no other module of this project; it may be copied anywhere. It
-calculates with intervals that are rounded outwards, so a verdict holds for real numbers. Numbers in parentheses refer
-to docs/theory/certificate.md. A plan file states the robot, the start, the dock, the rules, and all obstacles that meet
-a box (`proof.region`). `proof.cells` divides the path, and names a separating direction for every obstacle nearby.
-Trusted are this statement of the problem, the interpreter, IEEE 754, and `math.sin`, `cos`, `atan` within 2^-50.
-Exit status: 0 accepted; 3 refused, with the broken rule and its place on stderr; 2 not a plan file with a proof.
+This file uses the standard library only and imports nothing else of this project; it may be copied anywhere. Intervals
+are rounded outwards, so a verdict holds for real numbers. Numbers in parentheses refer to docs/theory/certificate.md.
+A plan file states the robot, start, dock, rules, and all obstacles that meet a box (`proof.region`). `proof.cells`
+divides the path, and names a separating direction for every obstacle nearby. Trusted are this statement of the problem,
+the interpreter, IEEE 754, and that `math.sin` and `math.cos` are accurate to 2^-50. Exit status: 0 accepted; 3 refused,
+with the broken rule and its place on stderr; 2 not a plan file with a proof.
 """
 
 from __future__ import annotations
@@ -13,108 +13,103 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections import Counter
 from itertools import accumulate, pairwise, product, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
-__all__ = ["Refusal", "Span", "judge", "main"]
+__all__ = ["Refusal", "judge", "main"]
 
 TOLERANCE = 1e-6  # [m], [rad], and relative to limits, as in the certificate
 _REST = "required", "start_relief", "at_start"
-_WIDE, _ACCURACY = 1.0 + TOLERANCE, 2.0**-50  # of limits, and of the mathematical functions
-_NEEDED = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}
-_TURNING = "yaw_rate yaw_acceleration lateral_acceleration lateral_jerk wheel_speed steering_rate".split()
-_LIMITS = _NEEDED | {f"max_{name}" for name in (*_TURNING, "curvature", "curvature_rate", "steering_angle")}
+_WIDE, _ACCURACY = 1.0 + TOLERANCE, 2.0**-50  # of limits; of sin and cos
+_LIMITS = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk", "max_yaw_rate"}
+_LIMITS |= {"max_yaw_acceleration", "max_lateral_acceleration", "max_lateral_jerk", "max_wheel_speed", "track_width"}
+_LIMITS |= {"max_steering_rate", "wheelbase", "max_curvature", "max_curvature_rate"}
 
 
 class Refusal(Exception):
     """A rule that is broken or not proven."""
 
 
-def _hold(holds: bool, message: str) -> None:  # noqa: FBT001 - a condition
+def _hold(holds: bool, message: str) -> bool:  # noqa: FBT001 - a condition
     if not holds:
         raise Refusal(message)
+    return holds
 
 
-class Span:
+class _Span:
     """The interval [lo, hi]. Operations round outwards: they contain the results for all numbers of their operands."""
 
     __slots__ = ("hi", "lo")
 
     def __init__(self, lo: float, hi: float | None = None) -> None:
         self.lo, self.hi = lo, lo if hi is None else hi
-        if not (type(lo) is type(self.hi) is float and -math.inf < lo <= self.hi < math.inf):  # also false for NaN
-            raise Refusal("arithmetic: a number overflows or is no number")
+        ordered = type(lo) is type(self.hi) is float and -math.inf < lo <= self.hi < math.inf  # also false for NaN
+        _hold(ordered, "arithmetic: a number overflows or is no number")
 
-    def __add__(self, other: Span | float) -> Span:
-        o = other if isinstance(other, Span) else Span(other)
-        return Span(math.nextafter(self.lo + o.lo, -math.inf), math.nextafter(self.hi + o.hi, math.inf))
+    def __add__(self, other: _Span | float) -> _Span:
+        o = other if isinstance(other, _Span) else _Span(other)
+        return _Span(math.nextafter(self.lo + o.lo, -math.inf), math.nextafter(self.hi + o.hi, math.inf))
 
-    def __neg__(self) -> Span:
-        return Span(-self.hi, -self.lo)
+    def __sub__(self, other: _Span | float) -> _Span:
+        o = other if isinstance(other, _Span) else _Span(other)
+        return _Span(math.nextafter(self.lo - o.hi, -math.inf), math.nextafter(self.hi - o.lo, math.inf))
 
-    def __sub__(self, other: Span | float) -> Span:
-        return self + -other
-
-    def __mul__(self, other: Span | float) -> Span:
-        o = other if isinstance(other, Span) else Span(other)
+    def __mul__(self, other: _Span | float) -> _Span:
+        o = other if isinstance(other, _Span) else _Span(other)
         ends = self.lo * o.lo, self.lo * o.hi, self.hi * o.lo, self.hi * o.hi
-        return Span(math.nextafter(min(ends), -math.inf), math.nextafter(max(ends), math.inf))
+        return _Span(math.nextafter(min(ends), -math.inf), math.nextafter(max(ends), math.inf))
 
-    def __truediv__(self, other: Span | float) -> Span:
-        o = other if isinstance(other, Span) else Span(other)
+    def __truediv__(self, other: _Span | float) -> _Span:
+        o = other if isinstance(other, _Span) else _Span(other)
         _hold(o.lo > 0.0, "arithmetic: a divisor must be positive")
-        return self * Span(math.nextafter(1.0 / o.hi, 0.0), math.nextafter(1.0 / o.lo, math.inf))
+        return self * _Span(math.nextafter(1.0 / o.hi, 0.0), math.nextafter(1.0 / o.lo, math.inf))
 
     @property
     def size(self) -> float:
-        """Largest absolute value."""
-        return max(-self.lo, self.hi)
+        return max(-self.lo, self.hi)  # largest absolute value
 
     @classmethod
-    def around(cls, spans: list[Span]) -> Span:
-        """Return the smallest interval that contains the given ones."""
+    def around(cls, spans: list[_Span]) -> _Span:
         return cls(min(span.lo for span in spans), max(span.hi for span in spans))
 
-    def turned(self, x: Span | float, y: Span | float) -> tuple[Span, Span]:
+    def turned(self, x: _Span | float, y: _Span | float) -> tuple[_Span, _Span]:
         """Return the vector (x, y) turned by this angle; sin and cos change by no more than the angle."""
         middle = min(max(0.5 * self.lo + 0.5 * self.hi, self.lo), self.hi)
-        off = max((Span(self.hi) - middle).hi, (Span(middle) - self.lo).hi) + 2.0 * _ACCURACY
-        c, s = (Span(-off, off) + value for value in (math.cos(middle), math.sin(middle)))
+        off = max((_Span(self.hi) - middle).hi, (_Span(middle) - self.lo).hi) + 2.0 * _ACCURACY
+        c, s = (_Span(-off, off) + value for value in (math.cos(middle), math.sin(middle)))
         return c * x - s * y, s * x + c * y
 
 
-_ZERO, _FULL_TURN = Span(0.0), Span(math.pi, math.nextafter(math.pi, 4.0)) * 2.0  # the float pi is below pi
+_ZERO, _FULL_TURN = _Span(0.0), _Span(math.pi, math.nextafter(math.pi, 4.0)) * 2.0  # the float pi is below pi
 
 
-def _length(x: Span, y: Span) -> float:
+def _length(x: _Span, y: _Span) -> float:
     return math.nextafter(math.sqrt((x * x + y * y).hi), math.inf)  # an upper bound
 
 
 class _Pose(NamedTuple):
-    x: Span
-    y: Span
-    yaw: Span
+    x: _Span
+    y: _Span
+    yaw: _Span
 
     def gap_to(self, other: _Pose) -> float:
-        """Return an upper bound of the larger of distance [m] and angle [rad] between two poses."""
-        turn = self.yaw - other.yaw
+        turn = self.yaw - other.yaw  # an upper bound of the larger of distance [m] and angle [rad]
         turn = turn - _FULL_TURN * float(round((turn.lo + turn.hi) / (4.0 * math.pi)))
         return max(_length(self.x - other.x, self.y - other.y), turn.size)
 
-    def after(self, step: Span, bend: Span, rate: Span, gear: float) -> _Pose:
+    def after(self, step: _Span, bend: _Span, rate: _Span, gear: float) -> _Pose:
         """Return the pose after a step on a clothoid: Taylor series of cos and sin of the yaw, with their remainder."""
         yaw = (rate * step * 0.5 + bend) * step + self.yaw
         (c, s), before, (x, y), power, n = self.yaw.turned(1.0, 0.0), (_ZERO, _ZERO), (_ZERO, _ZERO), step, 1.0
-        most, bound, bound0 = step * rate.size + bend.size, Span(1.0), _ZERO
+        most, bound, bound0 = step * rate.size + bend.size, _Span(1.0), _ZERO
         while (bound * power).hi > 1e-16 and gear != 0.0:  # this product bounds the rest of both series
             _hold(n < 60.0, "cells: a cell turns too far")
             x, y, power = x + c * power / n, y + s * power / n, power * step
             c0, s0, before = *before, (c, s)
-            c, s = -(bend * s + rate * s0) / n, (bend * c + rate * c0) / n
+            c, s = _ZERO - (bend * s + rate * s0) / n, (bend * c + rate * c0) / n
             bound, bound0, n = (most * bound + bound0 * rate.size) / n, bound, n + 1.0
-        rest = Span(-(bound * power).hi, (bound * power).hi)
+        rest = _Span(-(bound * power).hi, (bound * power).hi)
         return _Pose(self.x + (x + rest) * gear, self.y + (y + rest) * gear, yaw)
 
 
@@ -132,11 +127,10 @@ class _Segment:
         _hold(rising, f"{name}: knots must increase from 0 to more than 10 um")
         _hold("turn" in curve or self.gear in (1.0, -1.0), f"{name}: the direction must be 1 or -1")
         pieces = zip(pairwise(self.knots), pairwise(self.bends), strict=True)
-        self.rates = [(Span(m) - k) / (Span(b) - a) for (a, b), (k, m) in pieces]
-        self.start, self.length = _Pose(Span(x), Span(y), Span(yaw)), Span(self.knots[-1])
+        self.rates = [(_Span(m) - k) / (_Span(b) - a) for (a, b), (k, m) in pieces]
+        self.start, self.length = _Pose(_Span(x), _Span(y), _Span(yaw)), _Span(self.knots[-1])
 
-    def bend_at(self, index: int, place: Span) -> Span:
-        """Return the curvature at a place on the piece after knot `index`."""
+    def bend_at(self, index: int, place: _Span) -> _Span:
         return self.rates[index] * (place - self.knots[index]) + self.bends[index]
 
     def cells(self, borders: list[float]) -> list[tuple[Any, ...]]:
@@ -147,10 +141,10 @@ class _Segment:
         for u, v in pairwise(borders):
             index += u >= self.knots[index + 1]
             middle, rate = 0.5 * (u + v), self.rates[index]
-            bends = [self.bend_at(index, Span(place)) for place in (u, middle, v)]
-            at, end = (pose.after(Span(to) - u, bends[0], rate, self.gear) for to in (middle, v))
-            velocity, most = (*at.yaw.turned(self.gear, 0.0), bends[1]), Span(max(bend.size for bend in bends))
-            half = max((Span(middle) - u).hi, (Span(v) - middle).hi)
+            bends = [self.bend_at(index, _Span(place)) for place in (u, middle, v)]
+            at, end = (pose.after(_Span(to) - u, bends[0], rate, self.gear) for to in (middle, v))
+            velocity, most = (*at.yaw.turned(self.gear, 0.0), bends[1]), _Span(max(bend.size for bend in bends))
+            half = max((_Span(middle) - u).hi, (_Span(v) - middle).hi)
             found.append(((pose, at, end), velocity, most * abs(self.gear), most * most + rate.size, half))
             pose = end
         return found
@@ -163,39 +157,39 @@ class _Clearance:
         robot, rule, (x, y, yaw) = proof["robot"], proof["clearance"], proof["start"]["pose"]
         self.ends, outline = [proof["dock"]["pose"], proof["start"]["pose"]], robot["footprint"]
         self.region, self.obstacles, self.pieces = proof["region"], proof["obstacles"], robot.get("pieces") or [outline]
-        edges: Counter[Any] = Counter()
+        edges: dict[Any, int] = {}
         for sign, ring in ((1, outline), *((-1, piece) for piece in self.pieces)):
             for a, b in pairwise([(px, py) for px, py in [*ring, ring[0]]]):
-                edges[min(a, b), max(a, b)] += sign * ((a < b) - (a > b))
+                edges[min(a, b), max(a, b)] = edges.get((min(a, b), max(a, b)), 0) + sign * ((a < b) - (a > b))
         # Inner edges cancel, so winding numbers agree: a point inside the outline is inside the hull of a piece.
         _hold(not any(edges.values()), "footprint: its convex pieces do not cover it")
-        self.boxes = [[Span.around([Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
+        self.boxes = [[_Span.around([_Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
         self.at_dock, self.taper, self.run = rule["at_dock"], rule["taper"], rule["dock_run"]
         (e, w), most, self.relief, self.at_start = robot["tracking"], *(rule[key] for key in _REST)
         least = min(self.at_dock, self.taper, self.run, self.relief, self.at_start or 0.0, e, w)
         _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
-        radius, length = max(_length(Span(px), Span(py)) for px, py in outline), [px for px, _ in outline]
-        self.most = (Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
-        spots = [[Span(yaw).turned(*point) for point in piece] for piece in self.pieces]
-        pairs = [([((px + x).lo, (py + y).lo) for px, py in one], rock) for one in spots for rock in self.obstacles]
-        # The clearance of the start is at most the length of some line to an obstacle, and its rounding.
-        self.kept = min((min(_gap(a, b), _gap(b, a)) for a, b in pairs), default=1e9)
-        self.kept += 1e-14 * (radius + abs(x) + abs(y))
+        radius, length = max(_length(_Span(px), _Span(py)) for px, py in outline), [px for px, _ in outline]
+        self.most = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
+        at_start = [[_Span(yaw).turned(*point) for point in piece] for piece in self.pieces]
+        bodies = [[((px + x).lo, (py + y).lo) for px, py in one] for one in at_start]
+        # The clearance of the start is at most the length of some line to an obstacle, up to rounding.
+        gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in self.obstacles]
+        self.kept = min(gaps, default=1e9) + 1e-14 * (radius + abs(x) + abs(y))
         eased = self.relief <= 2.0 * (max(length) - min(length)) * _WIDE and self.kept < self.most
         _hold(self.relief == 0.0 or eased, "clearance: start_relief is not allowed (C22)")
 
     def _tapered(self, distance: float, least: float) -> float:
-        beyond = (Span(distance) - self.run).hi
+        beyond = (_Span(distance) - self.run).hi
         if beyond <= 0.0 or beyond >= self.taper:
             return float(least if beyond <= 0.0 else self.most)
-        return (Span(beyond) / self.taper * (Span(self.most) - least) + least).hi
+        return (_Span(beyond) / self.taper * (_Span(self.most) - least) + least).hi
 
-    def needed(self, first: _Pose, last: _Pose, sag: Span) -> float:
+    def needed(self, first: _Pose, last: _Pose, sag: _Span) -> float:
         """Return an upper bound of the requirement in a cell, from its largest distances from dock and start (C7)."""
         far = [max(_length(at.x - x, at.y - y) for at in (first, last)) for x, y, _ in self.ends]
         dock, start = ((sag + distance).hi for distance in far)
         kept = max(self.kept - 0.005, 0.5 * self.kept) if self.relief else self.kept
-        leaving = (Span(max(0.0, (Span(start) - self.relief).hi)) * 0.5 + kept).hi
+        leaving = (_Span(max(0.0, (_Span(start) - self.relief).hi)) * 0.5 + kept).hi
         if self.relief and self.at_start is not None:
             leaving = min(leaving, self._tapered(start, self.at_start))
         return min(self._tapered(dock, self.at_dock), leaving)
@@ -203,27 +197,29 @@ class _Clearance:
     def check(self, cell: tuple[Any, ...], planes: list[Any], where: str) -> None:
         """Check (C8) in a cell: from its middle, every corner of the footprint moves as in (C5)."""
         (first, at, last), (vx, vy, turn), bend, twist, width = cell
-        half, named = Span(-width, width), {(o, p): Span(angle) for o, p, angle in planes}
-        need = (Span(self.needed(first, last, bend * width * width * 0.5)) - TOLERANCE).hi
-        need = need if len(self.pieces) == 1 else max(need, 1e-12)  # no tolerance for overlaps between pieces
-        reach, (x0, y0, x1, y1) = Span(-max(need, 0.0), max(need, 0.0)), self.region
+        half, named = _Span(-width, width), {(o, p): _Span(angle) for o, p, angle in planes}
+        least = -math.inf if len(self.pieces) == 1 else 1e-12  # no tolerance for overlaps between pieces
+        need = max((_Span(self.needed(first, last, bend * width * width * 0.5)) - TOLERANCE).hi, least)
+        reach, (x0, y0, x1, y1) = _Span(-max(need, 0.0), max(need, 0.0)), self.region
         for number, piece in enumerate(self.pieces):
             corners = []
             for px, py in piece:
-                (x, y), stray = at.yaw.turned(px, py), twist * _length(Span(px), Span(py)) + bend
+                (x, y), stray = at.yaw.turned(px, py), twist * _length(_Span(px), _Span(py)) + bend
                 around = stray * half * half * 0.5  # half * half is [-half^2, half^2]
                 corners.append((at.x + x, at.y + y, vx - turn * y, vy + turn * x, around))
-            wide, high = (Span.around([one[k] + one[k + 2] * half + one[4] + reach for one in corners]) for k in (0, 1))
+            wide, high = (
+                _Span.around([one[k] + one[k + 2] * half + one[4] + reach for one in corners]) for k in (0, 1)
+            )
             inside = x0 <= wide.lo and y0 <= high.lo and wide.hi <= x1 and high.hi <= y1
             _hold(inside, f"clearance: the robot leaves the region {where}")
-            for i, (across, along) in enumerate(self.boxes):
-                if across.lo > wide.hi or across.hi < wide.lo or along.lo > high.hi or along.hi < high.lo:
+            for i, (u, v) in enumerate(self.boxes):
+                if u.lo > wide.hi or u.hi < wide.lo or v.lo > high.hi or v.hi < high.lo:
                     continue
                 _hold((i, number) in named, f"clearance: no direction for obstacle {i} and piece {number} {where}")
                 nx, ny = named[i, number].turned(1.0, 0.0)
                 near = min((nx * x + ny * y + (nx * u + ny * v) * half + e).lo for x, y, u, v, e in corners)
                 far = max((nx * ox + ny * oy).hi for ox, oy in self.obstacles[i])
-                _hold((Span(near) - far).lo >= need, f"clearance: obstacle {i} is too close {where}")
+                _hold((_Span(near) - far).lo >= need, f"clearance: obstacle {i} is too close {where}")
 
 
 def _gap(corners: list[Any], ring: list[Any]) -> float:
@@ -241,8 +237,8 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
     """Check the path rules: ends, joints, gears, turns, curvature, final straight."""
     start, dock, limits = proof["start"], proof["dock"], proof["robot"]["limits"]
     first, last, driven = segments[0], segments[-1], [one for one in segments if one.gear != 0.0]
-    begin, goal = (_Pose(*(Span(value) for value in one["pose"])) for one in (start, dock))
-    gaps = [Span(a.gap_to(b.start)) for a, b in zip(ends[:-1], segments[1:], strict=True)]
+    begin, goal = (_Pose(*(_Span(value) for value in one["pose"])) for one in (start, dock))
+    gaps = [_Span(a.gap_to(b.start)) for a, b in zip(ends[:-1], segments[1:], strict=True)]
     _hold(first.start.gap_to(begin) <= TOLERANCE, "start: the path does not begin there")
     _hold(ends[-1].gap_to(goal) <= TOLERANCE, "goal: the path does not end there")
     _hold(sum(gaps, _ZERO).hi <= TOLERANCE, "joint: the path jumps between its segments")
@@ -253,24 +249,22 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
     _hold(not driven or driven[0].gear * start["speed"] >= 0.0, "direction: the robot moves in the other gear")
     for one in driven:
         most, rate = max(map(abs, one.bends)), max(rate.size for rate in one.rates)
-        angle = math.atan((Span(most) * limits["wheelbase"]).hi) + _ACCURACY
         _hold(most <= limits["max_curvature"] * _WIDE, f"curvature: {most:g} 1/m on {one.name}")
         _hold(rate <= limits["max_curvature_rate"] * _WIDE, f"curvature_rate: {rate:g} 1/m^2 on {one.name}")
-        _hold(angle <= limits["max_steering_angle"] * _WIDE, f"curvature: {angle:g} rad of steering on {one.name}")
     if first in driven and start["curvature"] is not None:
         _hold(abs(first.bends[0] - start["curvature"]) <= TOLERANCE, "start_curvature: differs from that of the start")
     if (wanted := dock["final_straight"]) > 0.0:
         _hold(last in driven and last.length.lo >= wanted - TOLERANCE, "final_straight: the last gear is too short")
         place = max(0.0, last.length.lo - wanted) + 1e-9  # a rounded knot at the beginning is no curvature
         index = max(i for i, knot in enumerate(last.knots[:-1]) if knot <= place)
-        bends = [last.bend_at(index, Span(place)).size, *map(abs, last.bends[index + 1 :])]
+        bends = [last.bend_at(index, _Span(place)).size, *map(abs, last.bends[index + 1 :])]
         _hold(max(bends) <= TOLERANCE, "final_straight: is not straight")
 
 
 class _Polynomial:
     """A polynomial in time with intervals as coefficients, the constant one first."""
 
-    def __init__(self, *terms: Span) -> None:
+    def __init__(self, *terms: _Span) -> None:
         self.terms = terms
 
     def __add__(self, other: _Polynomial) -> _Polynomial:
@@ -282,23 +276,22 @@ class _Polynomial:
             terms[i + k] = terms[i + k] + a * b
         return _Polynomial(*terms)
 
-    def over(self, width: float) -> Span:
+    def over(self, width: float) -> _Span:
         """Return its range on [0, width], which lies between its Bernstein coefficients."""
         n = len(self.terms) - 1
-        powers = [*accumulate([Span(width)] * n, Span.__mul__, initial=Span(1.0))]
+        powers = [*accumulate([_Span(width)] * n, _Span.__mul__, initial=_Span(1.0))]
         row = [term * powers[k] / float(math.comb(n, k)) for k, term in enumerate(self.terms)]
-        sums = [[row[k] * float(math.comb(i, k)) for k in range(i + 1)] for i in range(n + 1)]
-        return Span.around([sum(terms, _ZERO) for terms in sums])
+        return _Span.around([sum((row[k] * float(math.comb(i, k)) for k in range(i + 1)), _ZERO) for i in range(n + 1)])
 
 
 class _Motion:
     """The time law: phases of constant jerk; every segment has those between the rests at its ends (C14)."""
 
     def __init__(self, proof: dict[str, Any], segments: list[_Segment], phases: dict[str, Any]) -> None:
-        limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
-        self.begins = [*accumulate((one.length for one in segments), Span.__add__, initial=_ZERO)]
+        self.limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
+        self.begins = [*accumulate((one.length for one in segments), _Span.__add__, initial=_ZERO)]
         (s, v, a), self.phases = phases["start"], [*zip(phases["durations"], phases["jerks"], strict=True)]
-        self.states, self.back = [(Span(s), Span(v), Span(a))], 0.0
+        self.states, self.back = [(_Span(s), _Span(v), _Span(a))], 0.0
         for duration, jerk in self.phases:
             _hold(duration >= 0.0, "coverage: a duration is negative")
             self.states.append(_after(self.states[-1], jerk, duration))
@@ -310,26 +303,17 @@ class _Motion:
             self.zone = self.zone - one.length if one.gear == 0.0 and at.hi > self.zone.lo else self.zone
         rate, gain, jerk = proof["robot"]["turning"] or (0.0, 0.0, 0.0)  # limits of turns in place (G3)
         turning = {"max_reverse_speed": rate, "max_acceleration": gain, "max_deceleration": gain, "max_jerk": jerk}
-        self.turning = {**dict.fromkeys(limits, math.inf), "track_width": 0.0, "wheelbase": 0.0, **turning}
-        self.limits, base, most = limits, limits["wheelbase"], limits["max_steering_angle"]
-        most = most if most < math.inf else math.atan(base * min(limits["max_curvature"], 1e9))
-        angles = [[math.atan(one.bends[k] * one.gear * base) for k in (0, -1)] for one in segments]
-        self.steered = [most + abs(angles[0][0]) if start["curvature"] is None else 0.0]
-        self.steered += [abs(b[0] - a[1]) for a, b in pairwise(angles)]  # at the start, and at the cusps
+        self.turning = {**dict.fromkeys(self.limits, math.inf), "track_width": 0.0, "wheelbase": 0.0, **turning}
 
     def check(self) -> float:
         """Check rests, waits and every limit over the whole motion; return its duration [s]."""
         rests = [k for k, (_, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
         near = [[k for k in rests if (self.states[k][0] - place).size <= TOLERANCE] for place in self.begins]
-        cuts, rate = [0], self.limits["max_steering_rate"]
+        cuts = [0]
         for i, found in enumerate(near[1:-1]):
             cuts += [k for k in found if k >= cuts[-1]][:1]
             _hold(len(cuts) == i + 2, f"rest: none after segment {i}")
         _hold(len(self.phases) in near[-1], "rest: none at the end of the path")
-        for found, angle in zip(near, self.steered, strict=False):
-            waits = [Span(t) for k, (t, _) in enumerate(self.phases) if {k, k + 1} <= set(found)]
-            enough = rate == math.inf or angle <= sum(waits, Span(TOLERANCE)).lo * rate * _WIDE
-            _hold(enough, "rest: too short to steer the wheels (C16)")
         for i, (first, last) in enumerate(pairwise([*cuts, len(self.phases)])):
             parts = [(state, *phase) for state, phase in zip(self.states, self.phases, strict=False)][first:last]
             while parts:  # divided until every limit is proven
@@ -340,19 +324,19 @@ class _Motion:
         _hold(self.back <= TOLERANCE, "coverage: the motion runs backwards")
         return math.fsum(t for t, _ in self.phases)
 
-    def _broken(self, i: int, state: tuple[Span, Span, Span], jerk: float, width: float) -> str:
+    def _broken(self, i: int, state: tuple[_Span, _Span, _Span], jerk: float, width: float) -> str:
         """Return the first limit that is not proven on a part of a phase."""
-        one, (s, v, a), j = self.segments[i], state, Span(jerk)
+        one, (s, v, a), j = self.segments[i], state, _Span(jerk)
         at, knots, last = s - self.begins[i], one.knots, len(one.rates) - 1
         span, speed = _Polynomial(at, v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
         within = [(not k or knots[k] <= span.hi) and (k == last or knots[k + 1] >= span.lo) for k in range(last + 1)]
         inside = [k for k, is_within in enumerate(within) if is_within]
-        ramp, ends = Span.around([one.rates[k] for k in inside]), (span.lo, span.hi)
+        ramp, ends = _Span.around([one.rates[k] for k in inside]), (span.lo, span.hi)
         if len(inside) == 1:
             bend = _Polynomial(one.bend_at(inside[0], at), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
         else:
-            parts = {k: Span(*(min(max(end, knots[k]), knots[k + 1]) for end in ends)) for k in inside}
-            bend = _Polynomial(Span.around([one.bend_at(k, part) for k, part in parts.items()]))
+            parts = {k: _Span(*(min(max(end, knots[k]), knots[k + 1]) for end in ends)) for k in inside}
+            bend = _Polynomial(_Span.around([one.bend_at(k, part) for k, part in parts.items()]))
         motion = speed, _Polynomial(a, j), bend, _Polynomial(ramp)
         in_zone = self.slow is not None and one.gear != 0.0 and (span + self.begins[i]).hi > self.zone.lo
         for name, terms, least, most in self._quantities(one, self.slow if in_zone else math.inf, motion):
@@ -366,55 +350,49 @@ class _Motion:
         """Return each limited quantity with its bounds; the table after (C12) lists them."""
         (v, a, k, r), limits = motion, self.limits if one.gear else self.turning
         lever, base, steep = 0.5 * limits["track_width"], limits["wheelbase"], limits["max_steering_rate"]
-        slack = k * k * _Polynomial(Span(base) * base * -min(steep, 1e9))
+        slack = k * k * _Polynomial(_Span(base) * base * -min(steep, 1e9))
         symmetric = [
             ("max_jerk", _Polynomial(a.terms[1])),
             ("max_yaw_rate", v * k),
             ("max_yaw_acceleration", a * k + v * v * r),
             ("max_lateral_acceleration", v * v * k),
             ("max_lateral_jerk", v * (a * k + a * k + v * v * r)),
-            *(("max_wheel_speed", v + v * k * _Polynomial(Span(side))) for side in (lever, -lever)),
+            *(("max_wheel_speed", v + v * k * _Polynomial(_Span(side))) for side in (lever, -lever)),
         ]
         return [
             ("speed", v, -TOLERANCE, min(top, limits["max_speed" if one.gear > 0.0 else "max_reverse_speed"])),
             ("acceleration", a, -limits["max_deceleration"], limits["max_acceleration"]),
             *((name, terms, -limits[name], limits[name]) for name, terms in symmetric),
             # |base * r * v| <= steep * (1 + (base * k)^2)
-            *(("steering_rate", v * r * _Polynomial(Span(side)) + slack, -math.inf, steep) for side in (base, -base)),
+            *(("steering_rate", v * r * _Polynomial(_Span(side)) + slack, -math.inf, steep) for side in (base, -base)),
         ]
 
 
-def _after(state: tuple[Span, Span, Span], jerk: float, t: float) -> tuple[Span, Span, Span]:
-    (s, v, a), gain = state, Span(jerk) * t  # after a time t of constant jerk
+def _after(state: tuple[_Span, _Span, _Span], jerk: float, t: float) -> tuple[_Span, _Span, _Span]:
+    (s, v, a), gain = state, _Span(jerk) * t  # after a time t of constant jerk
     return s + (v + (a * 0.5 + gain / 6.0) * t) * t, v + (a + gain * 0.5) * t, a + gain
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    _hold(len(dict(pairs)) == len(pairs), "JSON: a key is repeated")
-    return dict(pairs)
 
 
 def judge(text: str) -> str:
     """Return a sentence about what was accepted and what was not judged; raise `Refusal` if a rule is not proven."""
-    numbers = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), lambda digits: Span(float(digits)).lo)
-    plan: dict[str, Any] = json.loads(text, object_pairs_hook=_unique, **numbers)
+    numbers = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), lambda digits: _Span(float(digits)).lo)
+    once = lambda pairs: _hold(len(dict(pairs)) == len(pairs), "JSON: a key is repeated") and dict(pairs)  # noqa: E731
+    plan: dict[str, Any] = json.loads(text, object_pairs_hook=once, **numbers)
     proof, motion, limits = plan["proof"], plan.get("trajectory"), plan["proof"]["robot"]["limits"]
-    known = _NEEDED <= set(limits) <= {*_LIMITS, "wheelbase", "track_width"}
-    _hold(known, f"limits: a rule or a needed limit is missing among {sorted(limits)}")
-    _hold(all(type(value) is float and value >= 0.0 for value in limits.values()), "limits: must be numbers >= 0")
+    known = all(name in _LIMITS and type(most) is float and most >= 0.0 for name, most in limits.items())
+    _hold(known, f"limits: no rule for one of {sorted(limits)}, or no number >= 0")
     proof["robot"]["limits"] = {**dict.fromkeys(_LIMITS, math.inf), "wheelbase": 0.0, "track_width": 0.0, **limits}
     segments, ends = [_Segment(curve, f"segment {i}") for i, curve in enumerate(plan["path"]["segments"])], []
     clearance, cells = _Clearance(proof), proof["cells"]
     _hold(0 < len(segments) == len(cells), "cells: every segment needs its own")
     for segment, part in zip(segments, cells, strict=True):
         found = segment.cells(part["borders"])
-        _hold(len(found) == len(part["planes"]), f"cells: every cell of {segment.name} needs a list of planes")
         for k, (cell, planes) in enumerate(zip(found, part["planes"], strict=True)):
             clearance.check(cell, planes, f"in cell {k} of {segment.name}")
         ends.append(found[-1][0][2])
     _check_path(segments, ends, proof)
     timed = "no motion" if motion is None else f"{_Motion(proof, segments, motion['phases']).check():.3f} s of motion"
-    left = "samples, raw_path, certificate, view of the dock, and whether the stated problem is the real one"
+    left = "samples, raw_path, certificate, view of the dock, steering at rest, and whether this is the real problem"
     return f"accepted: path among {len(clearance.obstacles)} obstacles, {timed}; not judged: {left}"
 
 
