@@ -22,7 +22,7 @@ from optdock.verification.motion_bounds import Cells, PathMotion
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.separation import ConvexBody
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
@@ -90,7 +90,7 @@ def _stated(path: Path, problem: DockingProblem, start_relief: float) -> tuple[d
             "pose": dock.pose.as_array().tolist(),
             "direction": dock.direction.value,
             "final_straight": dock.final_straight,
-            "approach_speed": speed if np.isfinite(speed) else None,
+            **({"approach_speed": speed} if np.isfinite(speed) else {}),
             "approach_distance": dock.approach.distance,
             **(seen if dock.visible_distance > 0.0 else {}),
         },
@@ -143,7 +143,8 @@ class _Search:
 
     def cells(self) -> list[dict[str, object]] | None:
         """Return the borders and planes of every segment, or None."""
-        cells, found = self.motion.cells(_MAX_STEP), []
+        cells = self.motion.cells(_MAX_STEP)
+        found: list[tuple[int, float, float, list[list[float]]]] = []
         for _ in range(_MAX_LEVELS):
             proven, planes = self._round(cells)
             done = np.flatnonzero(proven)
@@ -155,7 +156,7 @@ class _Search:
             cells = cells.rows(np.flatnonzero(~proven)).cut(2)
         return None
 
-    def _round(self, cells: Cells) -> tuple[FloatArray, list[list[list[float]]]]:
+    def _round(self, cells: Cells) -> tuple[BoolArray, list[list[list[float]]]]:
         """Return a mask of the proven cells, and the planes of every cell: obstacle, piece of the footprint, angle."""
         middle = 0.5 * (cells.first + cells.last)
         n = middle.size
@@ -168,7 +169,7 @@ class _Search:
         need = self._required(first, last, 0.5 * bend * half**2) - TOLERANCE
         if len(self.bodies) > 1:
             need = np.maximum(need, _APART)
-        proven: FloatArray = np.ones(n, dtype=np.bool_)
+        proven: BoolArray = np.ones(n, dtype=np.bool_)
         planes: list[list[list[float]]] = [[] for _ in range(n)]
         for number, body in enumerate(self.bodies):
             stray = 0.5 * (bend[:, None] + np.hypot(*body.vertices.T) * twist[:, None]) * half[:, None] ** 2
@@ -208,7 +209,7 @@ class _Search:
         if cell.size == 0:
             return _Pairs(cell, rock, np.zeros(0), np.zeros(0))
         axis = separation(body, at[cell], rocks.pieces(rock)).axis
-        angle = np.round(np.arctan2(axis[:, 1], axis[:, 0]), _DIGITS)
+        angle = np.asarray(np.round(np.arctan2(axis[:, 1], axis[:, 0]), _DIGITS), dtype=np.float64)
         n = np.column_stack((np.cos(angle), np.sin(angle)))[:, None]
         height, rate = (np.sum(n * column[cell], axis=2) for column in (corners, moves))
         near = (height - np.abs(rate) * half[cell, None] - stray[cell]).min(axis=1)

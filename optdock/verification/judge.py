@@ -1,11 +1,10 @@
 """Second judge of plan files: `python judge.py plan.json` accepts or refuses path, clearance and motion limits.
 
-This file uses the standard library only and imports nothing else of this project; it may be copied anywhere. Intervals
-are rounded outwards, so a verdict holds for real numbers. Numbers in parentheses refer to docs/theory/certificate.md.
-A plan file states the robot, start, dock, rules, and all obstacles that meet a box (`proof.region`). `proof.cells`
-divides the path, and names a separating direction for every obstacle nearby. Trusted are this statement of the problem,
-the interpreter, IEEE 754, and that `math.sin` and `math.cos` are accurate to 2^-50. Exit status: 0 accepted; 3 refused,
-with the broken rule and its place on stderr; 2 not a plan file with a proof.
+Only the standard library is imported; this file may be copied anywhere. Intervals are rounded outwards, so a verdict
+holds for real numbers. Numbers in parentheses refer to docs/theory/certificate.md. A plan file states robot, start,
+dock, rules, and all obstacles that meet a box (`region`). `cells` divides the path, and names a separating direction
+for every obstacle nearby. Trusted are this statement of the problem, the interpreter, IEEE 754, and `math.sin` and
+`math.cos` within 2^-50. Exit status: 0 accepted; 3 refused, with the rule and its place; 2 no plan file with a proof.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import Any, NamedTuple
 __all__ = ["Refusal", "judge", "main"]
 
 TOLERANCE = 1e-6  # [m], [rad], and relative to limits, as in the certificate
-_REST = "required", "start_relief", "at_start"
 _WIDE, _ACCURACY = 1.0 + TOLERANCE, 2.0**-50  # of limits; of sin and cos
 _LIMITS = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk", "max_yaw_rate"}
 _LIMITS |= {"max_yaw_acceleration", "max_lateral_acceleration", "max_lateral_jerk", "max_wheel_speed", "track_width"}
@@ -39,8 +37,6 @@ def _hold(holds: bool, message: str) -> bool:  # noqa: FBT001 - a condition
 
 class _Span:
     """The interval [lo, hi]. Operations round outwards: they contain the results for all numbers of their operands."""
-
-    __slots__ = ("hi", "lo")
 
     def __init__(self, lo: float, hi: float | None = None) -> None:
         self.lo, self.hi = lo, lo if hi is None else hi
@@ -118,16 +114,17 @@ class _Segment:
 
     def __init__(self, curve: dict[str, Any], name: str) -> None:
         _hold("poses" not in curve, f"{name}: poses; only clothoids and turns in place can be judged")
-        self.name, turn, (x, y, yaw) = name, curve.get("turn"), curve["start"]
-        self.gear: float = 0.0 if "turn" in curve else curve["direction"]
-        self.knots, self.bends = curve.get("knots"), curve.get("curvature")
-        if "turn" in curve:
-            self.knots, self.bends = [0.0, abs(turn)], [math.copysign(1.0, turn)] * 2
+        self.name, (x, y, yaw), is_turn = name, curve["start"], "turn" in curve
+        if is_turn:
+            bends, knots = [math.copysign(1.0, curve["turn"])] * 2, [0.0, abs(curve["turn"])]
+            curve = {**curve, "direction": 0.0, "knots": knots, "curvature": bends}
+        numbers: tuple[float, list[float], list[float]] = curve["direction"], curve["knots"], curve["curvature"]
+        self.gear, self.knots, self.bends = numbers
         rising = self.knots[0] == 0.0 and self.knots[-1] > 1e-5 and all(a < b for a, b in pairwise(self.knots))
         _hold(rising, f"{name}: knots must increase from 0 to more than 10 um")
-        _hold("turn" in curve or self.gear in (1.0, -1.0), f"{name}: the direction must be 1 or -1")
+        _hold(is_turn or self.gear in (1.0, -1.0), f"{name}: the direction must be 1 or -1")
         pieces = zip(pairwise(self.knots), pairwise(self.bends), strict=True)
-        self.rates = [(_Span(m) - k) / (_Span(b) - a) for (a, b), (k, m) in pieces]
+        self.rates: list[_Span] = [(_Span(m) - k) / (_Span(b) - a) for (a, b), (k, m) in pieces]
         self.start, self.length = _Pose(_Span(x), _Span(y), _Span(yaw)), _Span(self.knots[-1])
 
     def bend_at(self, index: int, place: _Span) -> _Span:
@@ -164,24 +161,25 @@ class _Clearance:
         # Inner edges cancel, so winding numbers agree: a point inside the outline is inside the hull of a piece.
         _hold(not any(edges.values()), "footprint: its convex pieces do not cover it")
         self.boxes = [[_Span.around([_Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
-        self.at_dock, self.taper, self.run = rule["at_dock"], rule["taper"], rule["dock_run"]
-        (e, w), most, self.relief, self.at_start = robot["tracking"], *(rule[key] for key in _REST)
-        least = min(self.at_dock, self.taper, self.run, self.relief, self.at_start or 0.0, e, w)
+        numbers: list[float] = [rule[name] for name in ("required", "at_dock", "taper", "dock_run", "start_relief")]
+        most, self.at_dock, self.taper, self.run, self.relief = numbers
+        self.at_start, (e, w) = rule["at_start"], robot["tracking"]
+        least = min(*numbers, self.at_start or 0.0, e, w)
         _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
         radius, length = max(_length(_Span(px), _Span(py)) for px, py in outline), [px for px, _ in outline]
-        self.most = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
+        self.most: float = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
         at_start = [[_Span(yaw).turned(*point) for point in piece] for piece in self.pieces]
         bodies = [[((px + x).lo, (py + y).lo) for px, py in one] for one in at_start]
         # The clearance of the start is at most the length of some line to an obstacle, up to rounding.
         gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in self.obstacles]
-        self.kept = min(gaps, default=1e9) + 1e-14 * (radius + abs(x) + abs(y))
+        self.kept: float = min(gaps, default=1e9) + 1e-14 * (radius + abs(x) + abs(y))
         eased = self.relief <= 2.0 * (max(length) - min(length)) * _WIDE and self.kept < self.most
         _hold(self.relief == 0.0 or eased, "clearance: start_relief is not allowed (C22)")
 
     def _tapered(self, distance: float, least: float) -> float:
         beyond = (_Span(distance) - self.run).hi
-        if beyond <= 0.0 or beyond >= self.taper:
-            return float(least if beyond <= 0.0 else self.most)
+        if not 0.0 < beyond < self.taper:
+            return least if beyond <= 0.0 else self.most
         return (_Span(beyond) / self.taper * (_Span(self.most) - least) + least).hi
 
     def needed(self, first: _Pose, last: _Pose, sag: _Span) -> float:
@@ -198,8 +196,8 @@ class _Clearance:
         """Check (C8) in a cell: from its middle, every corner of the footprint moves as in (C5)."""
         (first, at, last), (vx, vy, turn), bend, twist, width = cell
         half, named = _Span(-width, width), {(o, p): _Span(angle) for o, p, angle in planes}
-        least = -math.inf if len(self.pieces) == 1 else 1e-12  # no tolerance for overlaps between pieces
-        need = max((_Span(self.needed(first, last, bend * width * width * 0.5)) - TOLERANCE).hi, least)
+        need = (_Span(self.needed(first, last, bend * width * width * 0.5)) - TOLERANCE).hi
+        need = need if len(self.pieces) == 1 else max(need, 1e-12)  # no tolerance for overlaps of pieces
         reach, (x0, y0, x1, y1) = _Span(-max(need, 0.0), max(need, 0.0)), self.region
         for number, piece in enumerate(self.pieces):
             corners = []
@@ -207,9 +205,7 @@ class _Clearance:
                 (x, y), stray = at.yaw.turned(px, py), twist * _length(_Span(px), _Span(py)) + bend
                 around = stray * half * half * 0.5  # half * half is [-half^2, half^2]
                 corners.append((at.x + x, at.y + y, vx - turn * y, vy + turn * x, around))
-            wide, high = (
-                _Span.around([one[k] + one[k + 2] * half + one[4] + reach for one in corners]) for k in (0, 1)
-            )
+            wide, high = (_Span.around([c[k] + c[k + 2] * half + c[4] + reach for c in corners]) for k in (0, 1))
             inside = x0 <= wide.lo and y0 <= high.lo and wide.hi <= x1 and high.hi <= y1
             _hold(inside, f"clearance: the robot leaves the region {where}")
             for i, (u, v) in enumerate(self.boxes):
@@ -261,9 +257,7 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
         _hold(max(bends) <= TOLERANCE, "final_straight: is not straight")
 
 
-class _Polynomial:
-    """A polynomial in time with intervals as coefficients, the constant one first."""
-
+class _Polynomial:  # in time, with intervals as coefficients, the constant one first
     def __init__(self, *terms: _Span) -> None:
         self.terms = terms
 
@@ -291,14 +285,14 @@ class _Motion:
         self.limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
         self.begins = [*accumulate((one.length for one in segments), _Span.__add__, initial=_ZERO)]
         (s, v, a), self.phases = phases["start"], [*zip(phases["durations"], phases["jerks"], strict=True)]
-        self.states, self.back = [(_Span(s), _Span(v), _Span(a))], 0.0
+        self.states = [(_Span(s), _Span(v), _Span(a))]
         for duration, jerk in self.phases:
             _hold(duration >= 0.0, "coverage: a duration is negative")
             self.states.append(_after(self.states[-1], jerk, duration))
         sign = math.copysign(1.0, start["speed"]) if start["speed"] else segments[0].gear or 1.0
         off = max(abs(s), abs(v - abs(start["speed"])), abs(a - sign * start["acceleration"]))
         _hold(off <= TOLERANCE, "start_state: place, speed or acceleration differ from those of the start")
-        self.zone, self.slow = self.begins[-1] - dock["approach_distance"], dock["approach_speed"]
+        self.zone, self.slow = self.begins[-1] - dock["approach_distance"], dock.get("approach_speed", math.inf)
         for one, at in zip(segments[::-1], self.begins[:0:-1], strict=True):
             self.zone = self.zone - one.length if one.gear == 0.0 and at.hi > self.zone.lo else self.zone
         rate, gain, jerk = proof["robot"]["turning"] or (0.0, 0.0, 0.0)  # limits of turns in place (G3)
@@ -309,41 +303,35 @@ class _Motion:
         """Check rests, waits and every limit over the whole motion; return its duration [s]."""
         rests = [k for k, (_, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
         near = [[k for k in rests if (self.states[k][0] - place).size <= TOLERANCE] for place in self.begins]
-        cuts = [0]
-        for i, found in enumerate(near[1:-1]):
-            cuts += [k for k in found if k >= cuts[-1]][:1]
-            _hold(len(cuts) == i + 2, f"rest: none after segment {i}")
-        _hold(len(self.phases) in near[-1], "rest: none at the end of the path")
-        for i, (first, last) in enumerate(pairwise([*cuts, len(self.phases)])):
+        cuts = [0, *(min(found, default=-1) for found in near[1:-1]), len(self.phases)]
+        _hold(cuts == sorted(cuts) and cuts[-1] in near[-1], f"rest: none at the end of a segment, {cuts}")
+        for i, (first, last) in enumerate(pairwise(cuts)):
             parts = [(state, *phase) for state, phase in zip(self.states, self.phases, strict=False)][first:last]
             while parts:  # divided until every limit is proven
                 state, width, jerk = parts.pop()
                 if broken := self._broken(i, state, jerk, width):
                     _hold(width > 1e-9, f"{broken}: beyond its limit, or unproven, near s = {state[0].lo:.4f} m")
                     parts += [(at, 0.5 * width, jerk) for at in (state, _after(state, jerk, 0.5 * width))]
-        _hold(self.back <= TOLERANCE, "coverage: the motion runs backwards")
         return math.fsum(t for t, _ in self.phases)
 
     def _broken(self, i: int, state: tuple[_Span, _Span, _Span], jerk: float, width: float) -> str:
         """Return the first limit that is not proven on a part of a phase."""
         one, (s, v, a), j = self.segments[i], state, _Span(jerk)
-        at, knots, last = s - self.begins[i], one.knots, len(one.rates) - 1
-        span, speed = _Polynomial(at, v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
-        within = [(not k or knots[k] <= span.hi) and (k == last or knots[k + 1] >= span.lo) for k in range(last + 1)]
-        inside = [k for k, is_within in enumerate(within) if is_within]
-        ramp, ends = _Span.around([one.rates[k] for k in inside]), (span.lo, span.hi)
+        here, knots, n = s - self.begins[i], one.knots, len(one.rates)
+        at, speed = _Polynomial(here, v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
+        inside = [k for k in range(n) if not ((k and knots[k] > at.hi) or (k < n - 1 and knots[k + 1] < at.lo))]
+        ramp, ends = _Span.around([one.rates[k] for k in inside]), (at.lo, at.hi)
         if len(inside) == 1:
-            bend = _Polynomial(one.bend_at(inside[0], at), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
+            bend = _Polynomial(one.bend_at(inside[0], here), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
         else:
             parts = {k: _Span(*(min(max(end, knots[k]), knots[k + 1]) for end in ends)) for k in inside}
             bend = _Polynomial(_Span.around([one.bend_at(k, part) for k, part in parts.items()]))
+        top = self.slow if one.gear and (at + self.begins[i]).hi > self.zone.lo else math.inf
         motion = speed, _Polynomial(a, j), bend, _Polynomial(ramp)
-        in_zone = self.slow is not None and one.gear != 0.0 and (span + self.begins[i]).hi > self.zone.lo
-        for name, terms, least, most in self._quantities(one, self.slow if in_zone else math.inf, motion):
+        for name, terms, least, most in self._quantities(one, top, motion):
             found = terms.over(width)
             if not least * _WIDE <= found.lo <= found.hi <= most * _WIDE:
-                return name
-        self.back += width * max(0.0, -speed.over(width).lo)
+                return str(name)
         return ""
 
     def _quantities(self, one: _Segment, top: float, motion: tuple[_Polynomial, ...]) -> list[Any]:
@@ -360,7 +348,7 @@ class _Motion:
             *(("max_wheel_speed", v + v * k * _Polynomial(_Span(side))) for side in (lever, -lever)),
         ]
         return [
-            ("speed", v, -TOLERANCE, min(top, limits["max_speed" if one.gear > 0.0 else "max_reverse_speed"])),
+            ("speed", v, -1e-8, min(top, limits["max_speed" if one.gear > 0.0 else "max_reverse_speed"])),
             ("acceleration", a, -limits["max_deceleration"], limits["max_acceleration"]),
             *((name, terms, -limits[name], limits[name]) for name, terms in symmetric),
             # |base * r * v| <= steep * (1 + (base * k)^2)
@@ -375,9 +363,9 @@ def _after(state: tuple[_Span, _Span, _Span], jerk: float, t: float) -> tuple[_S
 
 def judge(text: str) -> str:
     """Return a sentence about what was accepted and what was not judged; raise `Refusal` if a rule is not proven."""
-    numbers = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), lambda digits: _Span(float(digits)).lo)
+    numbers: Any = dict.fromkeys(("parse_int", "parse_float", "parse_constant"), lambda digits: _Span(float(digits)).lo)
     once = lambda pairs: _hold(len(dict(pairs)) == len(pairs), "JSON: a key is repeated") and dict(pairs)  # noqa: E731
-    plan: dict[str, Any] = json.loads(text, object_pairs_hook=once, **numbers)
+    plan: Any = json.loads(text, object_pairs_hook=once, **numbers)
     proof, motion, limits = plan["proof"], plan.get("trajectory"), plan["proof"]["robot"]["limits"]
     known = all(name in _LIMITS and type(most) is float and most >= 0.0 for name, most in limits.items())
     _hold(known, f"limits: no rule for one of {sorted(limits)}, or no number >= 0")
