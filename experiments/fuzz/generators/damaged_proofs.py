@@ -6,6 +6,7 @@ oracle, areas and distances by shapely, sums of polynomials) does not show that 
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -52,7 +53,7 @@ def _misses_the_dock(document: Case) -> bool:
     """Whether the path ends away from the dock, or jumps between its segments."""
     motion = motion_of(_gears(document))
     ends = [motion.ends_of(segment) for segment in motion.segments]
-    gaps = [after[0] - before[1] for before, after in zip(ends[:-1], ends[1:], strict=True)]
+    gaps = [after[0] - before[1] for before, after in itertools.pairwise(ends)]
     gaps += [ends[0][0] - document["proof"]["start"]["pose"], ends[-1][1] - document["proof"]["dock"]["pose"]]
     wrapped = np.array(gaps)
     wrapped[:, 2] = np.remainder(wrapped[:, 2] + math.pi, 2.0 * math.pi) - math.pi
@@ -116,9 +117,9 @@ def _limit_tightened(rng: Rng, document: Case) -> bool:
         attained["max_curvature"] = max(abs(k) for gear in driven for k in gear["curvature"])
     phases = document.get("trajectory", {}).get("phases")
     if phases is not None and len(driven) == len(gears):
-        s, v, a = phases["start"]
+        _, v, a = phases["start"]
         for duration, jerk in zip(phases["durations"], phases["jerks"], strict=True):
-            s, v, a = s, v + duration * (a + 0.5 * duration * jerk), a + duration * jerk
+            v, a = v + duration * (a + 0.5 * duration * jerk), a + duration * jerk
             attained["max_jerk"] = max(attained.get("max_jerk", 0.0), abs(jerk) if duration > 1e-3 else 0.0)
             attained["max_acceleration"] = max(attained.get("max_acceleration", 0.0), a)
             attained["max_deceleration"] = max(attained.get("max_deceleration", 0.0), -a)
@@ -239,6 +240,8 @@ def _region_shrunk(rng: Rng, document: Case) -> bool:
 def _key_removed(rng: Rng, document: Case) -> bool:
     proof = document["proof"]
     optional = {"pieces", "approach_speed", "visible_distance"}
+    if "trajectory" not in document:
+        optional |= {"speed", "acceleration", "curvature", "approach_distance"}
     places = [(proof, key) for key in proof] + [(document, "proof"), (document, "path")]
     places += [(proof[part], key) for part in ("robot", "start", "dock", "clearance") for key in proof[part]]
     places = [(holder, key) for holder, key in places if key not in optional]

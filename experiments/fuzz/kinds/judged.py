@@ -50,8 +50,14 @@ def draw(rng: np.random.Generator) -> Case:
     if share < _PLANS:
         return {**plans.draw(rng), "kind": "judged", "damages": seed}
     if share < _PLANS + _MOTIONS:
-        return {**_empty_floor(motion_problem(rng)), "kind": "judged", "damages": seed}
-    return {**path_problem(rng), "kind": "judged", "damages": seed}
+        case = motion_problem(rng)
+        while any(gear["type"] == "polyline" for gear in case["path"]):
+            case = motion_problem(rng)
+        return {**_empty_floor(case), "kind": "judged", "damages": seed}
+    case = path_problem(rng)
+    while any(gear["type"] == "polyline" for gear in case["path"]):
+        case = path_problem(rng)
+    return {**case, "kind": "judged", "damages": seed}
 
 
 def _empty_floor(case: Case) -> Case:
