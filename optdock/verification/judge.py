@@ -90,9 +90,8 @@ class _Pose(NamedTuple):
     yaw: _Span
 
     def gap_to(self, other: _Pose) -> float:
-        turn = self.yaw - other.yaw  # an upper bound of the larger of distance [m] and angle [rad]
-        turn = turn - _FULL_TURN * float(round((turn.lo + turn.hi) / (4.0 * math.pi)))
-        return max(_length(self.x - other.x, self.y - other.y), turn.size)
+        turn = self.yaw - other.yaw - _FULL_TURN * float(round((self.yaw.lo - other.yaw.lo) / (2.0 * math.pi)))
+        return max(_length(self.x - other.x, self.y - other.y), turn.size)  # distance [m] or angle [rad], if larger
 
     def after(self, step: _Span, bend: _Span, rate: _Span, gear: float) -> _Pose:
         """Return the pose after a step on a clothoid: Taylor series of cos and sin of the yaw, with their remainder."""
@@ -113,7 +112,7 @@ class _Segment:
     """Clothoids driven in one gear, or a turn in place, whose coordinate is its angle and whose gear is 0."""
 
     def __init__(self, curve: dict[str, Any], name: str) -> None:
-        _hold("poses" not in curve, f"{name}: poses; only clothoids and turns in place can be judged")
+        _hold("poses" not in curve and ("turn" in curve) != ("knots" in curve), f"{name}: no clothoids and no turn")
         self.name, (x, y, yaw), is_turn = name, curve["start"], "turn" in curve
         if is_turn:
             bends, knots = [math.copysign(1.0, curve["turn"])] * 2, [0.0, abs(curve["turn"])]
@@ -318,17 +317,18 @@ class _Motion:
         """Return the first limit that is not proven on a part of a phase."""
         one, (s, v, a), j = self.segments[i], state, _Span(jerk)
         here, knots, n = s - self.begins[i], one.knots, len(one.rates)
-        at, speed = _Polynomial(here, v, a * 0.5, j / 6.0).over(width), _Polynomial(v, a, j * 0.5)
+        place, speed = _Polynomial(here, v, a * 0.5, j / 6.0), _Polynomial(v, a, j * 0.5)
+        at = place.over(width)
         inside = [k for k in range(n) if not ((k and knots[k] > at.hi) or (k < n - 1 and knots[k + 1] < at.lo))]
-        ramp, ends = _Span.around([one.rates[k] for k in inside]), (at.lo, at.hi)
+        ramp = _Span.around([one.rates[k] for k in inside])
         if len(inside) == 1:
             bend = _Polynomial(one.bend_at(inside[0], here), ramp * v, ramp * a * 0.5, ramp * j / 6.0)
         else:
-            parts = {k: _Span(*(min(max(end, knots[k]), knots[k + 1]) for end in ends)) for k in inside}
+            parts = {k: _Span(*(min(max(end, knots[k]), knots[k + 1]) for end in (at.lo, at.hi))) for k in inside}
             bend = _Polynomial(_Span.around([one.bend_at(k, part) for k, part in parts.items()]))
         top = self.slow if one.gear and (at + self.begins[i]).hi > self.zone.lo else math.inf
-        motion = speed, _Polynomial(a, j), bend, _Polynomial(ramp)
-        for name, terms, least, most in self._quantities(one, top, motion):
+        limited = self._quantities(one, top, (speed, _Polynomial(a, j), bend, _Polynomial(ramp)))
+        for name, terms, least, most in [("place", place, -2e-6, knots[-1] + 2e-6), *limited]:
             found = terms.over(width)
             if not least * _WIDE <= found.lo <= found.hi <= most * _WIDE:
                 return str(name)
@@ -367,8 +367,8 @@ def judge(text: str) -> str:
     once = lambda pairs: _hold(len(dict(pairs)) == len(pairs), "JSON: a key is repeated") and dict(pairs)  # noqa: E731
     plan: Any = json.loads(text, object_pairs_hook=once, **numbers)
     proof, motion, limits = plan["proof"], plan.get("trajectory"), plan["proof"]["robot"]["limits"]
-    known = all(name in _LIMITS and type(most) is float and most >= 0.0 for name, most in limits.items())
-    _hold(known, f"limits: no rule for one of {sorted(limits)}, or no number >= 0")
+    known = (name in _LIMITS and type(most) is float and most >= 0.0 for name, most in limits.items())
+    _hold(all(known), f"limits: no rule for one of {sorted(limits)}, or no number >= 0")
     proof["robot"]["limits"] = {**dict.fromkeys(_LIMITS, math.inf), "wheelbase": 0.0, "track_width": 0.0, **limits}
     segments, ends = [_Segment(curve, f"segment {i}") for i, curve in enumerate(plan["path"]["segments"])], []
     clearance, cells = _Clearance(proof), proof["cells"]
