@@ -50,8 +50,8 @@ def proof_of(path: Path, problem: DockingProblem, start_relief: float) -> dict[s
     Returns:
         None if the cells do not prove the clearance, e.g. because a footprint that is not convex touches the station.
     """
-    statement, obstacles = _stated(path, problem, start_relief)
-    cells = _Search(path, problem, start_relief, obstacles).cells()
+    statement, obstacles, region = _stated(path, problem, start_relief)
+    cells = _Search(path, problem, start_relief, obstacles, region).cells()
     if cells is None:
         logger.warning("the clearance of the path is certified, but not provable in cells: written without a proof")
         return None
@@ -63,7 +63,10 @@ def statement_of(path: Path, problem: DockingProblem, start_relief: float) -> di
     return _stated(path, problem, start_relief)[0]
 
 
-def _stated(path: Path, problem: DockingProblem, start_relief: float) -> tuple[dict[str, object], ObstacleSet]:
+def _stated(
+    path: Path, problem: DockingProblem, start_relief: float
+) -> tuple[dict[str, object], ObstacleSet, FloatArray]:
+    """Return the statement, and its obstacles and region as arrays."""
     robot, dock, rule = problem.robot, problem.dock, problem.clearance
     limits = robot.limits
     # The steering angle is included in the largest curvature.
@@ -98,7 +101,7 @@ def _stated(path: Path, problem: DockingProblem, start_relief: float) -> tuple[d
         "region": region.ravel().tolist(),
         "obstacles": [_distinct(piece).tolist() for piece in near.vertices],
     }
-    return statement, near
+    return statement, near, region
 
 
 def _distinct(piece: FloatArray) -> FloatArray:
@@ -125,19 +128,26 @@ def _near(path: Path, problem: DockingProblem) -> tuple[ObstacleSet, FloatArray]
 
 
 class _Pairs(NamedTuple):
-    """Pairs of a cell and an obstacle that need a separating direction: indices, angle [rad], gap [m]. Shape (n,)."""
+    """Pairs of a cell and an obstacle that need a separating direction: indices, angle [rad], gap [m]. Shape (n,).
+
+    `outside`: mask of the cells in which the robot may leave the region.
+    """
 
     cell: IntArray
     obstacle: IntArray
     angle: FloatArray
     gap: FloatArray
+    outside: BoolArray
 
 
 class _Search:
     """Bisection of cells until a direction per nearby obstacle proves the clearance, as in the judge."""
 
-    def __init__(self, path: Path, problem: DockingProblem, start_relief: float, obstacles: ObstacleSet) -> None:
+    def __init__(
+        self, path: Path, problem: DockingProblem, start_relief: float, obstacles: ObstacleSet, region: FloatArray
+    ) -> None:
         self.motion, self.problem, self.obstacles, self.relief = PathMotion(path), problem, obstacles, start_relief
+        self.region = region
         self.bodies = problem.robot.footprint.bodies
         self.at_start = end_clearances(problem).start
 
@@ -174,6 +184,7 @@ class _Search:
         for number, body in enumerate(self.bodies):
             stray = 0.5 * (bend[:, None] + np.hypot(*body.vertices.T) * twist[:, None]) * half[:, None] ** 2
             pairs = self._pairs(body, at, velocity, half, stray, np.maximum(need, 0.0) + _BEYOND)
+            proven[pairs.outside] = False
             proven[pairs.cell[~(pairs.gap >= need[pairs.cell] + _SPARE)]] = False
             for cell, *plane in zip(pairs.cell.tolist(), pairs.obstacle.tolist(), pairs.angle.tolist(), strict=True):
                 planes[cell].append([plane[0], number, plane[1]])
@@ -203,18 +214,19 @@ class _Search:
         spread = np.abs(moves) * half[:, None, None] + stray[..., None]
         low, high = (corners - spread).min(axis=1), (corners + spread).max(axis=1)
         low, high = low - reach[:, None], high + reach[:, None]
+        outside: BoolArray = np.any((low < self.region[0]) | (high > self.region[1]), axis=1)
         rocks = self.obstacles
         meets = np.all((rocks.lower <= high[:, None]) & (rocks.upper >= low[:, None]), axis=2)
         cell, rock = np.nonzero(meets)
         if cell.size == 0:
-            return _Pairs(cell, rock, np.zeros(0), np.zeros(0))
+            return _Pairs(cell, rock, np.zeros(0), np.zeros(0), outside)
         axis = separation(body, at[cell], rocks.pieces(rock)).axis
         angle = np.asarray(np.round(np.arctan2(axis[:, 1], axis[:, 0]), _DIGITS), dtype=np.float64)
         n = np.column_stack((np.cos(angle), np.sin(angle)))[:, None]
         height, rate = (np.sum(n * column[cell], axis=2) for column in (corners, moves))
         near = (height - np.abs(rate) * half[cell, None] - stray[cell]).min(axis=1)
         far = np.sum(n * rocks.vertices[rock], axis=2).max(axis=1)
-        return _Pairs(cell, rock, angle, near - far)
+        return _Pairs(cell, rock, angle, near - far, outside)
 
 
 def _segment_cells(cells: list[tuple[int, float, float, list[list[float]]]]) -> dict[str, object]:

@@ -192,13 +192,19 @@ def _plane_turned(rng: Rng, document: Case) -> bool:
     return True
 
 
-def _plane_removed(rng: Rng, document: Case) -> bool:
-    cells = [cell for part in document["proof"]["cells"] for cell in part["planes"] if cell]
-    if not cells:
+def _planes_removed(rng: Rng, document: Case) -> bool:
+    """Remove all directions of an obstacle whose bounding box overlaps that of a piece of the robot somewhere."""
+    proof = document["proof"]
+    if not proof["obstacles"]:
         return False
-    cell = cells[int(rng.integers(len(cells)))]
-    cell.pop(int(rng.integers(len(cell))))
-    return True
+    index = int(rng.integers(len(proof["obstacles"])))
+    for part in proof["cells"]:
+        part["planes"] = [[plane for plane in cell if plane[0] != index] for cell in part["planes"]]
+    pieces = proof["robot"].get("pieces", [proof["robot"]["footprint"]])
+    poses = _poses(document)
+    boxes = np.concatenate([shapely.bounds(shapely.polygons(placed(np.array(piece), poses))) for piece in pieces])
+    low, high = np.min(proof["obstacles"][index], axis=0) + _SEEN, np.max(proof["obstacles"][index], axis=0) - _SEEN
+    return bool(np.any(np.all((boxes[:, :2] <= high) & (boxes[:, 2:] >= low), axis=1)))
 
 
 def _cell_removed(rng: Rng, document: Case) -> bool:
@@ -259,7 +265,7 @@ DAMAGES: dict[str, Callable[[Rng, Case], bool]] = {
     damage.__name__.strip("_"): damage
     for damage in (
         _obstacle_moved_in, _thin_obstacle_added, _footprint_grown, _clearance_raised, _limit_tightened, _start_moved,
-        _curvature_changed, _gear_flipped, _phase_changed, _start_state_changed, _plane_turned, _plane_removed,
+        _curvature_changed, _gear_flipped, _phase_changed, _start_state_changed, _plane_turned, _planes_removed,
         _cell_removed, _cells_stretched, _region_shrunk, _key_removed, _turn_forbidden,
     )
 }  # fmt: skip

@@ -37,8 +37,10 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge", "plan_text", "refusal_of"]
 
-_PLANS, _MOTIONS = 0.15, 0.35  # shares of planned and of timed cases; the others are paths
-_DAMAGES = 3  # per file
+_PLANS, _MOTIONS = 0.08, 0.37  # shares of planned and of timed cases; the others are paths
+_EASED = 0.6  # share of paths and motions with weaker rules, so that more of them are certified
+_DAMAGES = 4  # per file
+_LONG = 1e6  # [s]: intervals of a longer motion are too wide
 _OTHERS = ("hostile", "repeated", "swapped")
 _last = [""]  # the file before, for swapped parts
 
@@ -53,10 +55,15 @@ def draw(rng: np.random.Generator) -> Case:
         case = motion_problem(rng)
         while any(gear["type"] == "polyline" for gear in case["path"]):
             case = motion_problem(rng)
+        if rng.uniform() < _EASED:
+            case["limits"] = {name: 1.05 * value for name, value in case["limits"].items()}
         return {**_empty_floor(case), "kind": "judged", "damages": seed}
     case = path_problem(rng)
     while any(gear["type"] == "polyline" for gear in case["path"]):
         case = path_problem(rng)
+    if rng.uniform() < _EASED:
+        required, at_dock, *others = case["clearance"]
+        case["clearance"] = [0.7 * required, min(at_dock, 0.7 * required), *others]
     return {**case, "kind": "judged", "damages": seed}
 
 
@@ -111,6 +118,8 @@ def _certified(case: Case) -> tuple[Path, TimeLaw | None, DockingProblem, float]
         return f"path refused: {certificate.violations[0].kind}"
     if law is not None and not (motion := certify_motion(Trajectory(path, law), problem)).certified:
         return f"motion refused: {motion.violations[0].kind}"
+    if law is not None and law.duration > _LONG:
+        return "too long to be judged"
     return path, law, problem, certificate.start_relief
 
 
