@@ -23,6 +23,7 @@ ALL = (
     "impossibilities",
     "files",
     "damaged_files",
+    "judged",
     "values",
     "views",
 )

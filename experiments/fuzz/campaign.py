@@ -47,6 +47,7 @@ _SHARE = {
     "impossibilities": 0.1,
     "files": 0.06,
     "damaged_files": 0.02,
+    "judged": 0.1,
     "values": 0.05,
     "views": 0.04,
 }

@@ -338,7 +338,7 @@ def _planned(
     clearance, total = found.certificate.min_clearance, found.timing_ms["total"]
     figures = (found.path.driven, found.trajectory.duration, clearance)
     row = ["certified", *(f"{value:.3f}" for value in figures), f"{total:.1f}"]
-    return int(ExitStatus.CERTIFIED), "", found.as_file(period).as_json(spacing=spacing), row
+    return int(ExitStatus.CERTIFIED), "", found.as_file(period, proof=True).as_json(spacing=spacing), row
 
 
 def compare(

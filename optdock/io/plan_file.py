@@ -108,6 +108,7 @@ class PlanFile:
         error: Reason for the failure.
         tried: Guesses that were tried and their results, see `Attempt.as_dict`.
         impossibility: Proof that no plan exists.
+        proof: Statement of the problem and cells of the path for the second judge, see `proof_cells.proof_of`.
         unjudged: Names of values in a file that cannot be checked: unknown keys, and the curvature of a raw path
             without exact curves.
 
@@ -128,6 +129,7 @@ class PlanFile:
     impossibility: NoMotionProof | None = None
     tried: Sequence[Mapping[str, object]] = ()
     unjudged: tuple[str, ...] = ()
+    proof: Mapping[str, object] | None = None
 
     def __post_init__(self) -> None:
         for name in ("raw_path", "path"):
@@ -164,6 +166,8 @@ class PlanFile:
             body["impossibility"] = self.impossibility.as_dict()
         if self.tried:
             body["tried"] = finite_or_null(self.tried)
+        if self.proof is not None:
+            body["proof"] = self.proof
         return strict_json({**head, **body, "timing_ms": finite_or_null(self.timing_ms)})
 
 
@@ -338,6 +342,7 @@ class _PlanDocument(_Model):
     timing_ms: dict[str, _Positive | None] = {}
     error: _ErrorDocument | None = None
     impossibility: dict[str, JsonValue] | None = None
+    proof: dict[str, JsonValue] | None = None
     tried: list[_AttemptDocument] = []
 
 
@@ -389,6 +394,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
         impossibility=proof,
         tried=tuple(attempt.model_dump(exclude_unset=True) for attempt in document.tried),
         unjudged=unknown,
+        proof=document.proof,
     )
 
 

@@ -22,6 +22,7 @@ from optdock.io.plan_file import (
     save_columns_csv,
     save_plan,
 )
+from optdock.io.proof_cells import proof_of
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import Trajectory
@@ -206,12 +207,17 @@ class DockPlan:
         """
         return tightest_place(self.path, self.problem, self.certificate.start_relief, step, within)
 
-    def as_file(self, period: float = DEFAULT_PERIOD) -> PlanFile:
-        """Return the content of the plan file, with the trajectory sampled at most every `period` [s].
+    def as_file(self, period: float = DEFAULT_PERIOD, *, proof: bool = False) -> PlanFile:
+        """Return the content of the plan file.
+
+        Args:
+            period: Largest time between trajectory samples [s].
+            proof: Whether the file has the proof for the second judge, which takes some milliseconds.
 
         Raises:
             InvalidValue: If the period is not > 0, or is far too small.
         """
+        certificate = self.certificate
         return PlanFile(
             status=CERTIFIED,
             completed=self.completed,
@@ -220,13 +226,14 @@ class DockPlan:
             path=self.path,
             trajectory=TrajectoryColumns.from_trajectory(self.trajectory, period),
             time_law=self.trajectory.time_law,
-            certificate={**self.certificate.as_dict(), "trajectory": self.trajectory_certificate.as_dict()},
+            certificate={**certificate.as_dict(), "trajectory": self.trajectory_certificate.as_dict()},
             timing_ms=self.timing_ms,
             tried=tuple(attempt.as_dict() for attempt in self.tried),
+            proof=proof_of(self.path, self.problem, certificate.start_relief) if proof else None,
         )
 
     def save(self, target: str | FilePath, *, spacing: float = DEFAULT_SPACING, period: float = DEFAULT_PERIOD) -> None:
-        """Write a plan file, format `optdock-plan/1`.
+        """Write a plan file, format `optdock-plan/1`, with the proof for the second judge.
 
         Args:
             target: File name.
@@ -237,7 +244,7 @@ class DockPlan:
             InvalidFile: If the file cannot be written.
             InvalidValue: If spacing or period is not > 0, or is far too small.
         """
-        save_plan(target, self.as_file(period), spacing=spacing)
+        save_plan(target, self.as_file(period, proof=True), spacing=spacing)
 
     def save_csv(self, target: str | FilePath, *, period: float = DEFAULT_PERIOD) -> None:
         """Write the trajectory as a table, one row per sample; the first row has column names and units.

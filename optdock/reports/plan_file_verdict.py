@@ -18,6 +18,7 @@ from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.impossibility import BlockedStraight, check_impossibility
 from optdock.io.numbers import is_number
 from optdock.io.plan_file import CERTIFIED, UNKNOWN
+from optdock.io.proof_cells import statement_of
 from optdock.io.quoting import shown
 from optdock.model.path import may_be_one_frame
 from optdock.model.trajectory import Trajectory
@@ -286,7 +287,14 @@ class _Claims:
             names.append("certificate (of another problem)")
         if "trajectory" in self._claimed and (self._motion.proof is None or self._others):
             names.append("certificate.trajectory")
+        if self._plan.proof is not None:
+            names.append("proof.cells" if self._is_comparable else "proof")
         return tuple(names)
+
+    @property
+    def _is_comparable(self) -> bool:
+        """Whether the file's certificate was made for this problem and this path."""
+        return self._certificate.certified and self._of_path and not self._others
 
     def false(self) -> Iterator[str]:
         """Generate a message for every false value."""
@@ -301,6 +309,13 @@ class _Claims:
             if proof is not None and isinstance(claimed, dict):
                 yield from self._false_verdict("certificate.trajectory", claimed, proof, "the motion is")
                 yield from self._false_motion(proof, claimed)
+        if self._plan.proof is not None and self._is_comparable:
+            here = statement_of(self._path, self._problem, self._certificate.start_relief)
+            yield from (
+                f"proof.{name} is not that of the problem"
+                for name, value in here.items()
+                if self._plan.proof.get(name) != value
+            )
         yield from self._false_guess()
         yield from self._false_price()
 

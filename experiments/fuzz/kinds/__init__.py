@@ -8,6 +8,7 @@ from experiments.fuzz.kinds import (
     damaged_files,
     files,
     impossibilities,
+    judged,
     limits,
     paths,
     plans,
@@ -49,6 +50,7 @@ KINDS: dict[str, Kind] = {
     "impossibilities": Kind(impossibilities.draw, impossibilities.judge),
     "files": Kind(files.draw, files.judge),
     "damaged_files": Kind(damaged_files.draw, damaged_files.judge),
+    "judged": Kind(judged.draw, judged.judge),
     "values": Kind(values.draw, values.judge),
     "views": Kind(views.draw, views.judge),
 }
