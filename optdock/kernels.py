@@ -199,7 +199,8 @@ class Kernel:
         addresses = []
         for i, (array, count) in enumerate(arrays):
             if not array.flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
-                raise ValueError(f"{self._symbol}: array {i} must be contiguous with {count} elements, got {array!r}")
+                told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
+                raise ValueError(f"{self._symbol}: array {i} must be contiguous with {count} elements, got {told}")
             addresses.append(ctypes.c_void_p(array.ctypes.data))
         converted = [kind(value) for kind, value in zip(self._first, first, strict=True)]
         return int(self._function(*converted, *addresses))
