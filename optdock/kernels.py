@@ -250,7 +250,7 @@ def _difference(first: object, second: object) -> str:
         same = a == b
     else:
         with np.errstate(invalid="ignore"):
-            close = np.abs(a - b) <= _TOLERANCE * np.maximum(1.0, np.abs(a))
+            close = np.isfinite(a) & (np.abs(a - b) <= _TOLERANCE * np.maximum(1.0, np.abs(a)))
         same = close | (a == b) | (np.isnan(a) & np.isnan(b))
     if np.all(same):
         return ""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.separation import separation
+from optdock.geometry.separation import separation, skips_edges
 from optdock.kernels import Kernel, twin_of
 from optdock.verification.certificate import SHARPNESS, TOLERANCE
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
@@ -493,7 +493,21 @@ def _body_bounds_native(
 
 
 @twin_of(_body_bounds_native)
+def _body_bounds_chosen(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    return _body_bounds_numpy(bounded, advances, obstacles, exact_within)
+
+
 def _body_bounds(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    # The kernel evaluates all edges; of pairs with many corners the twin skips most.
+    has_many = skips_edges(len(bounded.body.vertices), obstacles.vertices.shape[1])
+    return (_body_bounds_numpy if has_many else _body_bounds_chosen)(bounded, advances, obstacles, exact_within)
+
+
+def _body_bounds_numpy(
     bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
 ) -> AdvanceBounds:
     body, reach = bounded.body, bounded.reach
