@@ -61,36 +61,39 @@ class _Library(NamedTuple):
     is_expected: bool  # whether the reason is that no library was compiled
 
 
-def _rejected(path: Path, why: str) -> _Library:
-    return _Library(None, f"{path}: {why}; compile it with `python -m optdock.build_kernels`", is_expected=False)
-
-
 def load_library(path: Path, root: Path) -> _Library:
     """Load and check the library of the kernels of the packages in the folder `root`."""
     if not path.is_file():
         return _Library(None, f"{path} was not compiled", is_expected=True)
     try:
-        handle = ctypes.CDLL(str(path))
-        abi, digest, sources, test = (
-            getattr(handle, f"optdock_kernels_{name}") for name in ("abi", "digest", "sources", "self_test")
-        )
+        loaded = ctypes.CDLL(str(path))
+        handle: ctypes.CDLL | None = loaded
+        fault = _fault(loaded, root)
     except (OSError, AttributeError) as error:
-        return _rejected(path, f"cannot be loaded ({error})")
+        handle, fault = None, f"cannot be loaded ({error})"
+    if fault:
+        handle, fault = None, f"{path}: {fault}; compile it with `python -m optdock.build_kernels`"
+    return _Library(handle, fault, is_expected=False)
+
+
+def _fault(handle: ctypes.CDLL, root: Path) -> str:
+    """Return why a library must not be used, or an empty string."""
+    abi, digest, sources, test = (
+        getattr(handle, f"optdock_kernels_{name}") for name in ("abi", "digest", "sources", "self_test")
+    )
     abi.restype = test.restype = ctypes.c_int64
     digest.restype = sources.restype = ctypes.c_char_p
     test.argtypes = (ctypes.c_void_p,)
     if abi() != ABI:
-        return _rejected(path, f"has interface {abi()} instead of {ABI}")
+        return f"has interface {abi()} instead of {ABI}"
     try:
         present = digest_of(root, [Path(name) for name in sources().decode().split()])
     except OSError as error:
-        return _rejected(path, f"its sources cannot be read ({error})")
+        return f"its sources cannot be read ({error})"
     if present != digest().decode():
-        return _rejected(path, "was compiled from other sources than those beside the modules")
+        return "was compiled from other sources than those beside the modules"
     failure = test(_SELF_TESTED.ctypes.data)
-    if failure:
-        return _rejected(path, f"fails its self-test ({_FAILURES[failure - 1]})")
-    return _Library(handle, "", is_expected=False)
+    return f"fails its self-test ({_FAILURES[failure - 1]})" if failure else ""
 
 
 @functools.cache
@@ -166,7 +169,7 @@ class Kernel:
     """A function of the library.
 
     Args:
-        symbol: Name of the function, whose parameters are the sizes (int64_t), the numbers (double) and the arrays; it
+        symbol: Name of the function; its parameters are the sizes (int64_t), the numbers (double) and the arrays; it
             returns an int64_t.
         sizes: Number of sizes.
         numbers: Number of numbers.
@@ -174,7 +177,7 @@ class Kernel:
 
     def __init__(self, symbol: str, sizes: int, numbers: int) -> None:
         self._symbol = symbol
-        self._first = (ctypes.c_int64,) * sizes + (ctypes.c_double,) * numbers
+        self._kinds = (ctypes.c_int64,) * sizes, (ctypes.c_double,) * numbers
 
     @functools.cached_property
     def _function(self) -> ctypes._NamedFuncPointer:
@@ -185,12 +188,16 @@ class Kernel:
         return function
 
     def __call__(
-        self, first: tuple[float, ...], arrays: tuple[tuple[NDArray[np.float64] | NDArray[np.int64], int], ...]
+        self,
+        sizes: tuple[int, ...],
+        numbers: tuple[float, ...],
+        arrays: tuple[tuple[NDArray[np.float64] | NDArray[np.int64], int], ...],
     ) -> int:
         """Call the function.
 
         Args:
-            first: Sizes and numbers.
+            sizes: Numbers of elements, and other integers.
+            numbers: Floating-point numbers.
             arrays: Arrays, each with the number of elements that the function reads or writes.
 
         Raises:
@@ -202,14 +209,16 @@ class Kernel:
                 told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
                 raise ValueError(f"{self._symbol}: array {i} must be contiguous with {count} elements, got {told}")
             addresses.append(ctypes.c_void_p(array.ctypes.data))
-        converted = [kind(value) for kind, value in zip(self._first, first, strict=True)]
-        return int(self._function(*converted, *addresses))
+        counts = [kind(value) for kind, value in zip(self._kinds[0], sizes, strict=True)]
+        values = [kind(value) for kind, value in zip(self._kinds[1], numbers, strict=True)]
+        return int(self._function(*counts, *values, *addresses))
 
 
 def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Return a decorator for the NumPy twin of `native`; the decorated function runs what the lane requires.
 
-    `native` calls a `Kernel` and has the arguments and results of the twin.
+    `native` calls a `Kernel` and has the arguments and results of the twin. In an audit the decorated function raises
+    `KernelMismatch` if they differ.
     """
 
     def decorate(twin: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -223,18 +232,22 @@ def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_
             if lane == "native" and name in _OfProcess.tested:
                 return native(*args, **kwargs)
             found = twin(*args, **kwargs)
-            differs = _difference(found, native(*args, **kwargs))
-            if differs and lane == "audit":
-                raise KernelMismatch(f"{name}: {differs}")
-            if differs:
-                logger.warning("%s: the kernel in C is not used, it differs from NumPy: %s", name, differs)
-                _OfProcess.replaced.add(name)
-            _OfProcess.tested.add(name)
+            _judge(name, lane, _difference(found, native(*args, **kwargs)))
             return found
 
         return chosen
 
     return decorate
+
+
+def _judge(name: str, lane: Lane, differs: str) -> None:
+    """Note that a kernel was compared with its twin; raise `KernelMismatch` or replace it if they differ."""
+    if differs and lane == "audit":
+        raise KernelMismatch(f"{name}: {differs}")
+    if differs:
+        logger.warning("%s: the kernel in C is not used, it differs from NumPy: %s", name, differs)
+        _OfProcess.replaced.add(name)
+    _OfProcess.tested.add(name)
 
 
 def _difference(first: object, second: object) -> str:

@@ -1,4 +1,4 @@
-"""CPU time of calls with the kernels in C and with their NumPy twins, paired: `python -m experiments.benchmarks kernels`.
+"""CPU time of calls with kernels in C and with their NumPy twins: `python -m experiments.benchmarks kernels`.
 
 Every problem is planned with both lanes in turn, several times, and the fastest run of each lane counts. The plans of
 both lanes must be equal. Easy scenes: five instances each of the six families with at most five obstacles on an open

@@ -55,7 +55,10 @@ def _common(
     *,
     verbose: VerboseOption = False,
     version: Annotated[  # noqa: ARG001 - typer calls its callback
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and the kernels in use.")
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Print the version and the kernels in use."
+        ),
     ] = False,
 ) -> None:
     listen(verbose=verbose)

@@ -486,7 +486,7 @@ def _body_bounds_native(
         (np.empty(size := 4 * m + 2 * (corners + q + circles)), size),
         (np.empty(size := 2 * m + n + k + 1, dtype=np.int64), size),
     )
-    pairs = _KERNEL((n, k, m, corners, q, circles, bounded.radius, bounded.reach), arrays)
+    pairs = _KERNEL((n, k, m, corners, q, circles), (bounded.radius, bounded.reach), arrays)
     if pairs < 0:
         raise IndexError("advances.pose: must be rows of advances.poses")
     return AdvanceBounds(bound, row, found[0, :pairs], found[1, :pairs], distance[:pairs])

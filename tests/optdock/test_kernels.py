@@ -184,7 +184,7 @@ SIZES = (1, 1, 1, 4, 3, 1)
 )
 def test_a_kernel_takes_contiguous_arrays_of_its_sizes_alone(array):
     with pytest.raises(ValueError, match="array 0 must be contiguous with 4 elements"):
-        Kernel("optdock_advance_bounds", sizes=6, numbers=2)((*SIZES, 1.0, 1.0), ((array, 4),))
+        Kernel("optdock_advance_bounds", sizes=6, numbers=2)(SIZES, (1.0, 1.0), ((array, 4),))
 
 
 @needs_compiler
@@ -282,7 +282,10 @@ def test_the_version_names_the_kernels(lane):
     command = [sys.executable, "-c", "from optdock.cli import main; main()", "--version"]
     environment = {**os.environ, "OPTDOCK_KERNELS": lane, "PYTHONPATH": str(ROOT)}
     told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert told == ["0.1.0", "kernels: C (interface 1)" if lane == "native" else "kernels: NumPy (OPTDOCK_KERNELS=twin)"]
+    assert told == [
+        "0.1.0",
+        "kernels: C (interface 1)" if lane == "native" else "kernels: NumPy (OPTDOCK_KERNELS=twin)",
+    ]
 
 
 @functools.cache

@@ -42,8 +42,9 @@ def test_both_lanes_are_equal_to_the_last_bit(cases, name, seed):
     rng = np.random.default_rng(seed)
     basis, variables, start, signs = cases.random_path(seed, ((6, 2), (5, 2)))
     rollout = roll_out(basis, variables, start, signs)
-    boxes = [centre + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * rng.uniform(0.02, 0.5)
-             for centre in rollout.poses[rng.integers(0, basis.num_nodes, 14), :2] + rng.uniform(-0.9, 0.9, (14, 2))]  # fmt: skip
+    places = rollout.poses[rng.integers(0, basis.num_nodes, 14), :2] + rng.uniform(-0.9, 0.9, (14, 2))
+    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    boxes = [place + unit * rng.uniform(0.02, 0.5) for place in places]
     goal = cases.open_problem(Pose2.from_sequence(rollout.poses[-1]), obstacles=boxes, footprint=FOOTPRINTS[name])
     problem = dataclasses.replace(goal, clearance=RULES[seed % 3])
     few = dataclasses.replace(DEFAULT_SETTINGS.collision, few_pairs=20 if seed % 2 else 150)

@@ -1,7 +1,7 @@
 """Kernels in C against their NumPy twins: bounds of stretches, also degenerate ones, and whole proofs of clearance.
 
-Both must be equal to the last bit. Stretches are drawn with bodies and obstacles that touch or overlap, in tiny cells, at
-huge coordinates, and with NaN and infinite numbers.
+Both must be equal to the last bit. Stretches are drawn with bodies and obstacles that touch or overlap, in tiny cells,
+at huge coordinates, and with NaN and infinite numbers.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def judge(case: Case) -> Verdict:
     found = []
     for lane in ("twin", "native"):
         with using_kernels(lane), np.errstate(all="ignore"):
-            found.append(conservative_advancement._body_bounds(*arguments))  # noqa: SLF001 - the function compared
+            found.append(conservative_advancement._body_bounds(*arguments))
     return Verdict("equal") if is_equal(*found) else Verdict("kernel differs", f"bounds: {case['degenerate']}")
 
 
@@ -73,9 +73,7 @@ def is_equal(first: tuple[object, ...], second: tuple[object, ...]) -> bool:
     )
 
 
-def drawn_stretches(
-    rng: np.random.Generator, degenerate: str
-) -> tuple[BoundedBody, Advances, ObstacleSet, FloatArray]:
+def drawn_stretches(rng: np.random.Generator, degenerate: str) -> tuple[BoundedBody, Advances, ObstacleSet, FloatArray]:
     """Draw the arguments of the kernel of the proof; see `DEGENERATE` for the second argument."""
     drawn = footprint(rng)
     robot = Footprint.from_radius(drawn["radius"]) if "radius" in drawn else Footprint(drawn["polygon"])

@@ -142,7 +142,7 @@ def _disc_states_native(field: DistanceField, discs: Discs, poses: FloatArray, r
             (missing, slots.size),
         )
         tiles = field.side // _TILE
-        found = _DISC_KERNEL((n, count, tiles, field.spacing, *field.origin.tolist()), arrays)
+        found = _DISC_KERNEL((n, count, tiles), (field.spacing, *field.origin.tolist()), arrays)
         if found == 0:
             return DiscStates((states & 1).astype(np.bool_), (states & 2).astype(np.bool_), states >= 4)
         field.compute(missing[:found])
@@ -152,8 +152,10 @@ def _disc_states_native(field: DistanceField, discs: Discs, poses: FloatArray, r
 def disc_states(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
     """Compare the discs of a body at poses, Shape (n, 3), with the required clearances, Shape (n,) [m]."""
     lower, upper = field.bounds(transform_points(poses, discs.centres))
-    covered = (lower - discs.cover).min(axis=1) >= required
-    return DiscStates(covered, (upper - discs.inside).min(axis=1) < required, np.isneginf(lower).any(axis=1))
+    covered: BoolArray = (lower - discs.cover).min(axis=1) >= required
+    blocked: BoolArray = (upper - discs.inside).min(axis=1) < required
+    outside: BoolArray = np.any(np.isneginf(lower), axis=1)
+    return DiscStates(covered, blocked, outside)
 
 
 def _tile_values_native(
@@ -170,7 +172,7 @@ def _tile_values_native(
         (obstacles.offsets[others], p * k),
         (values, values.size),
     )
-    _TILE_KERNEL((b, p, k, reach), arrays)
+    _TILE_KERNEL((b, p, k), (reach,), arrays)
     return values
 
 

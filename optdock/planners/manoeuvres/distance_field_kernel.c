@@ -77,7 +77,8 @@ typedef struct {
     double lower, upper;
 } Bounds;
 
-static double clamped(double cell, double last) { return cell < 0.0 ? 0.0 : cell > last ? last : cell; }
+/* A cell of the grid; NaN becomes 0. */
+static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
 
 /* Return 0 if the tile of the point is missing, and append it to the list unless it is there already. */
 static int bounds_at(const Field *field, double px, double py, int64_t *missing, int64_t *count, Bounds *bounds)
@@ -100,7 +101,7 @@ static int bounds_at(const Field *field, double px, double py, int64_t *missing,
     return 1;
 }
 
-/* Compare discs of n poses with the field.
+/* Compare discs of n poses with the field (R6, docs/theory/search.md).
  *
  *   n, discs, tiles   numbers of poses, of discs and of tiles along a side
  *   spacing, x, y     see `Field`

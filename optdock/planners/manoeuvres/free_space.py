@@ -95,7 +95,7 @@ def _clearances_native(poses: FloatArray, footprint: Footprint, obstacles: Obsta
             (clearances, n),
             (np.empty(size), size),
         )
-        _KERNEL((n, m, v, k, circles, one.radius), arrays)
+        _KERNEL((n, m, v, k, circles), (one.radius,), arrays)
     return clearances
 
 

@@ -71,7 +71,7 @@ def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, 
     counts = (parts, v, count, k, nodes, basis.num_intervals, settings.few_pairs, settings.nearest)
     selection = (settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices)
     close = scene.rule.required + settings.surely_kept
-    p = _KERNEL((*counts, *selection, scene.body.radius, reach, close, settings.lowest_slope), arrays)
+    p = _KERNEL((*counts, *selection), (scene.body.radius, reach, close, settings.lowest_slope), arrays)
     interval, part, obstacle = pairs[: 3 * p].reshape(3, p)
     table = out[: width * p].reshape(width, p)
     hull, axis, heights, outline = 4 * v, 4 * v + 2, 6 * v + 2, 6 * v + 2 + 2 * k

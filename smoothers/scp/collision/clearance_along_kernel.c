@@ -1,7 +1,7 @@
 /* Clearance of the footprint swept along a roll-out: the function `clearance_along` of `clearance_along.py` in C.
  *
  * The broad phase and the narrow phase are those of `broad_phase.py` and `narrow_phase.py`, whose docstrings derive the
- * bounds; equation numbers are those of docs/theory/smoothing.md. Sums and products are evaluated in the order of the
+ * bounds; equation numbers are those of docs/theory/smoother.md. Sums and products are evaluated in the order of the
  * twins, and angles enter as sines and cosines that NumPy has computed, so the results are equal to the last bit. A
  * search for a path uses them; the certificate does not. */
 
@@ -375,8 +375,7 @@ static Vector refined(const Scene *scene, const Pair *pair, Candidate best, Seen
     return edge.gap > best.gap ? edge.axis : best.axis;
 }
 
-/* Bound by which vertex i may fall below its chord along the axis: h^2 / 8 max(g'', 0), g'' at both ends and h / 2 M3
- * for the change in between. */
+/* Bound (S12) by which vertex i may fall below its chord along the axis, with g'' at both ends and M3 of (S13). */
 static double sag(Counts n, const Scene *scene, const Motion *motion, const Pair *pair, Vector axis, int64_t row,
                   int64_t i)
 {
@@ -413,7 +412,8 @@ static void requirements(const Motion *motion, int64_t left, double *first, doub
     *first = *last = most(*first, *last);
 }
 
-/* Rows of the result, (6 v + 2 k + 4, p): hull x, hull y, axis x, axis y, heights, outline x, outline y, top, margin. */
+/* Write the margin (S11) of a pair and its terms. Rows of the result, (6 v + 2 k + 4, p): hull x, hull y, axis x, axis y,
+ * heights, outline x, outline y, top, margin. */
 static void write_pair(Counts n, const Scene *scene, const Motion *motion, const Pair *pair, Vector axis, int64_t row,
                        double *out, int64_t p)
 {

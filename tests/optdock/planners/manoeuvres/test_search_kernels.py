@@ -39,7 +39,9 @@ def test_states_and_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
     found, polls = [], []
     for lane in LANES:
         polled = []
-        field = DistanceField(rocks(seed), np.array([0.1, -0.2, 7.0]), 0.02, 1.5, lambda polled=polled: polled.append(1))
+        field = DistanceField(
+            rocks(seed), np.array([0.1, -0.2, 7.0]), 0.02, 1.5, lambda polled=polled: polled.append(1)
+        )
         with using_kernels(lane):
             found.append((*disc_states(field, discs, poses, required), field._values[: field._count], field._slots))
         polls.append(len(polled))
