@@ -66,7 +66,7 @@ def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, 
         (pairs, 3 * most),
         (out, width * most),
         (np.empty(size), size),
-        (np.empty(3 * room, dtype=np.int64), 3 * room),
+        (np.empty(4 * room + rows, dtype=np.int64), 4 * room + rows),
     )
     counts = (parts, v, count, k, nodes, basis.num_intervals, settings.few_pairs, settings.nearest)
     selection = (settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices)

@@ -186,26 +186,30 @@ static int64_t near_pairs(Counts n, const Scene *scene, const Motion *motion, co
     return count;
 }
 
-/* Number of pairs of the same row before pair i in the order of their separations; pairs of a group are contiguous. */
-static int64_t rank_of(const Scene *scene, int64_t i, int64_t count, const int64_t *rows, const double *apart)
+/* Number of pairs of the same row before pair i in the order of their separations; next: the next pair of the row. */
+static int64_t rank_of(int64_t i, int64_t first, const int64_t *next, const double *apart)
 {
-    int64_t group = rows[i] / scene->together, rank = 0;
-    for (int64_t j = i; j >= 0 && rows[j] / scene->together == group; j--)
-        rank += rows[j] == rows[i] && j != i && apart[j] <= apart[i];
-    for (int64_t j = i + 1; j < count && rows[j] / scene->together == group; j++)
-        rank += rows[j] == rows[i] && apart[j] < apart[i];
+    int64_t rank = 0;
+    for (int64_t j = first; j >= 0; j = next[j])
+        rank += apart[j] < apart[i] || (apart[j] == apart[i] && j < i);
     return rank;
 }
 
 /* Keep the nearest pairs of every row, and more of those that may be too close. Return the number kept.
- * keep: work, (count,). */
-static int64_t nearest_pairs(const Scene *scene, int64_t count, int64_t *rows, int64_t *obstacles, const double *apart,
-                             int64_t *keep)
+ * next, keep: work, (count,); first: work, (total rows,). */
+static int64_t nearest_pairs(const Scene *scene, int64_t count, int64_t total, int64_t *rows, int64_t *obstacles,
+                             const double *apart, int64_t *next, int64_t *keep, int64_t *first)
 {
     int64_t kept = 0;
+    for (int64_t row = 0; row < total; row++)
+        first[row] = -1;
+    for (int64_t i = count - 1; i >= 0; i--) {
+        next[i] = first[rows[i]];
+        first[rows[i]] = i;
+    }
     for (int64_t i = 0; i < count; i++) {
         int64_t limit = apart[i] < scene->close ? scene->nearest_close * scene->nearest : scene->nearest;
-        keep[i] = rank_of(scene, i, count, rows, apart) < limit;
+        keep[i] = rank_of(i, first[rows[i]], next, apart) < limit;
     }
     for (int64_t i = 0; i < count; i++) {
         if (keep[i]) {
@@ -451,7 +455,7 @@ static void write_pair(Counts n, const Scene *scene, const Motion *motion, const
  *   out       out, (6 v + 2 k + 4, p), see `write_pair`; p is at most parts intervals times the smaller of obstacles
  *             and nearest_close nearest, or few
  *   work      2 parts (v + 2) nodes + 8 parts intervals + parts intervals obstacles + 8 v numbers
- *   indices   work, (3, parts intervals obstacles)
+ *   indices   work, 4 parts intervals obstacles + parts intervals
  *
  * Return p, the number of pairs. */
 int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int64_t k, int64_t nodes,
@@ -482,7 +486,8 @@ int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int
     sweep(n, &scene, &motion, &placed, &swept);
     p = near_pairs(n, &scene, &motion, &swept, row_of, obstacle_of, apart);
     if (p > few)
-        p = nearest_pairs(&scene, p, row_of, obstacle_of, apart, indices + 2 * room);
+        p = nearest_pairs(&scene, p, rows, row_of, obstacle_of, apart, indices + 2 * room, indices + 3 * room,
+                          indices + 4 * room);
     for (int64_t i = 0; i < p; i++) {
         int64_t row = row_of[i], part = row / intervals, node = left[row % intervals];
         const Vector *corners = placed.corners + (part * nodes + node) * v; /* those of the next node follow */
