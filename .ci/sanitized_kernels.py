@@ -36,7 +36,7 @@ def preloaded() -> str:
 def main(arguments: list[str]) -> int:
     """Compile the library, run the tests and return their exit status."""
     with tempfile.TemporaryDirectory() as folder:
-        library = build(ROOT, Path(folder, "_sanitized.so"), FLAGS)
+        library = build(ROOT, Path(folder, "_sanitized.shared"), FLAGS)
         environment = {
             **os.environ,
             "OPTDOCK_TEST_LIBRARY": str(library),

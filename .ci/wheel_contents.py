@@ -15,7 +15,7 @@ NEEDED = {f"{package}/py.typed" for package in PACKAGES} | {
     "optdock/verification/conservative_advancement_kernel.c",
 }
 SUFFIXES = (".py", ".pyi", ".typed", ".yaml", ".png", ".css", ".html", ".js", ".c")
-LIBRARY = "optdock/_kernels.so"
+LIBRARY = "optdock/_kernels.shared"
 
 
 def faults(names: list[str]) -> list[str]:

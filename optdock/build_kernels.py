@@ -20,7 +20,8 @@ from pathlib import Path
 __all__ = ["FLAGS", "LIBRARY", "BuildFailed", "build", "digest_of", "kernel_sources"]
 
 PACKAGES = ("optdock", "smoothers")
-LIBRARY = Path("optdock", "_kernels.so")  # relative to the folder that contains the packages
+# Relative to the folder that contains the packages. With the suffix .so Python would take it for a module.
+LIBRARY = Path("optdock", "_kernels.shared")
 ABOUT = Path("optdock", "kernels.c")  # digest and self-test of the library
 # Contraction to fused operations would change roundings, and with fast-math comparisons with NaN would be removed.
 FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fno-fast-math", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror")

@@ -41,7 +41,7 @@ Lane: TypeAlias = Literal["native", "twin", "audit"]
 ABI = 1
 _VARIABLE = "OPTDOCK_KERNELS"
 _TOLERANCE = 1e-12  # relative to the larger of 1 and the value
-_SELF_TESTED = np.array([1.0 + 2.0**-27, np.nan, 2.0, 2.0**-1040])
+_SELF_TESTED = (1.0 + 2.0**-27, float("nan"), 2.0, 2.0**-1040)
 _FAILURES = ("contraction of products", "comparisons with NaN", "square roots", "subnormal numbers", "rounding")
 _DOUBLE, _INT = np.dtype(np.float64), np.dtype(np.int64)
 
@@ -92,7 +92,7 @@ def _fault(handle: ctypes.CDLL, root: Path) -> str:
         return f"its sources cannot be read ({error})"
     if present != digest().decode():
         return "was compiled from other sources than those beside the modules"
-    failure = test(_SELF_TESTED.ctypes.data)
+    failure = test((ctypes.c_double * len(_SELF_TESTED))(*_SELF_TESTED))
     return f"fails its self-test ({_FAILURES[failure - 1]})" if failure else ""
 
 

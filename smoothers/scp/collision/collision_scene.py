@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import frozen
+from optdock.geometry.arrays import frozen, readonly
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from smoothers.scp.settings import DEFAULT_SETTINGS, CollisionSettings
 
@@ -101,7 +101,7 @@ class Scene:
         body, obstacles = self.body, self.obstacles
         of_body = (body.vertices, body.normals, body.reach, body.lower, body.upper)
         parts = (*of_body, obstacles.vertices, obstacles.normals, obstacles.lower, obstacles.upper)
-        return np.concatenate([part.ravel() for part in parts])
+        return readonly(np.concatenate([part.ravel() for part in parts]))
 
     def __post_init__(self) -> None:
         for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):
