@@ -17,7 +17,15 @@ sys.path.insert(0, str(ROOT))
 
 from optdock.build_kernels import build  # noqa: E402 - the copy beside this file
 
-FLAGS = ("-g", "-O1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+FLAGS = (
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-g",
+    "-O1",
+    "-fsanitize=address,undefined,float-cast-overflow",
+    "-fno-sanitize-recover=all",
+)
 TESTS = (
     "tests/optdock/test_kernels.py",
     "tests/smoothers/test_clearance_along.py",
