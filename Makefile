@@ -6,6 +6,8 @@ SEED := 1
 JOBS := 1
 SCALE := 1
 ARGS :=
+AUDITED := tests/optdock/verification/test_conservative_advancement.py tests/optdock/verification/test_certify.py \
+	tests/optdock/planners/manoeuvres tests/smoothers/test_casadi_smoother.py tests/optdock/test_pipeline.py
 BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin
 ROS_DISTRO := kilted
@@ -19,10 +21,12 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 
-.PHONY: help demo test check unit test-experiments docs test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
+.PHONY: help demo test check unit kernels test-kernels test-experiments docs test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
+	@echo "make kernels      the kernels in C compiled anew, after a change of their sources; needs a C compiler"
+	@echo "make test-kernels  the kernels: tests with sanitizers, and tests that compare every call with the NumPy twin; one minute"
 	@echo "make docs         the documentation and its tests: every snippet runs, warnings are errors; open site/index.html"
 	@echo "make test-experiments  the tests of benchmarks, studies and the fuzzer"
 	@echo "make test-ui      the page of optdock ui in Chromium, pictures in results/ui/: five minutes; skipped without Chromium"
@@ -69,7 +73,16 @@ check: $(STAMP)
 	else echo "types are not checked here: mypy needs the stubs of NumPy >= 2.3, and so Python >= 3.11"; fi
 	$(BIN)/lint-imports
 
-unit: $(STAMP)
+kernels: $(STAMP)
+	$(BIN)/python -m optdock.build_kernels
+
+# An audit runs both lanes, C and NumPy, in every call of a kernel. The library is compiled first; it belongs to its sources.
+test-kernels: kernels
+	$(BIN)/python .ci/sanitized_kernels.py
+	OPTDOCK_KERNELS=audit $(BIN)/python -m pytest -q $(AUDITED)
+	OPTDOCK_KERNELS=twin $(BIN)/python -m pytest -q tests/optdock/test_portfolio.py
+
+unit: kernels
 	$(BIN)/python -m pytest -q -n 2 tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
 	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
 

@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pytest
 from hypothesis import HealthCheck, settings
 
+from optdock import kernels
 from optdock.deadline import set_clock
 from optdock.planning import pipeline
 from optdock.timing.near_optimal import NearOptimal
@@ -23,6 +24,11 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 ROOT = Path(__file__).resolve().parents[1]
 REAL_DATA = Path(os.environ.get("OPTDOCK_DATA", ROOT.parent / "shared" / "data"))
+
+
+# Another library of the same kernels, such as one with sanitizers, see .ci/sanitized_kernels.py.
+if OTHER_LIBRARY := os.environ.get("OPTDOCK_TEST_LIBRARY"):
+    kernels._library = functools.cache(lambda: kernels.load_library(Path(OTHER_LIBRARY), ROOT))
 
 
 # What a budget allows must not depend on what else the machine does while the tests run.

@@ -54,6 +54,19 @@ def lines_of_code(path):
     return len(lines - documented)
 
 
+def kernels_of(modules):
+    """Return the C files beside modules, and that with the self-test, which is needed to use any of them."""
+    beside = [MODULES[one].with_name(f"{MODULES[one].stem}_kernel.c") for one in modules]
+    found = [path for path in beside if path.is_file()]
+    return [*found, ROOT / "optdock" / "kernels.c"] if found else []
+
+
+def lines_of_c(path):
+    """Count the lines that hold more than comments."""
+    code = re.sub(r"/\*.*?\*/", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return sum(bool(line.strip()) for line in code.splitlines())
+
+
 @pytest.mark.parametrize(
     ("begin", "said"),
     [
@@ -73,3 +86,12 @@ def test_the_page_says_how_much_code_must_be_trusted(begin, said):
     assert len(modules) == count
     assert others & {"scipy", "casadi", "ruckig", "matplotlib", "yaml"} == set()
     assert not [module for module in modules if re.match(r"optdock\.(planners|planning|timing|plugins|io)\b", module)]
+
+
+def test_the_page_says_which_code_in_c_must_be_trusted():
+    """The kernels of the smoother and the search are not among it, and proofs of impossibility use none."""
+    trusted = kernels_of(reached("optdock.verification.certify")[0])
+    assert [path.name for path in trusted] == ["conservative_advancement_kernel.c", "kernels.c"]
+    said = int(re.search(r"at most ([\d,]+)\s+lines\s+of\s+C", PAGE).group(1))
+    assert said - 30 < sum(map(lines_of_c, trusted)) <= said
+    assert kernels_of(reached("optdock.impossibility.proof", "optdock.impossibility.blocked_straight")[0]) == []

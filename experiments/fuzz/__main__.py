@@ -21,6 +21,7 @@ ALL = (
     "measured",
     "decisions",
     "impossibilities",
+    "kernels",
     "files",
     "damaged_files",
     "judged",

@@ -18,6 +18,7 @@ Case: TypeAlias = dict[str, Any]  # JSON: numbers, strings, lists and dicts of t
 FAULTS = (
     "false certificate",
     "false proof",
+    "kernel differs",
     "overclaimed bound",
     "accepted forgery",
     "uncertified plan",

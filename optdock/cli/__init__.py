@@ -42,7 +42,11 @@ def main() -> None:
 
 def _show_version(wanted: bool) -> None:  # noqa: FBT001 - typer's callback
     if wanted:
+        from optdock.kernels import kernels_in_use
+
         typer.echo(__version__)
+        with reported(verbose=False):
+            typer.echo(kernels_in_use())
         raise typer.Exit
 
 
@@ -51,7 +55,10 @@ def _common(
     *,
     verbose: VerboseOption = False,
     version: Annotated[  # noqa: ARG001 - typer calls its callback
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Print the version and the kernels in use."
+        ),
     ] = False,
 ) -> None:
     listen(verbose=verbose)

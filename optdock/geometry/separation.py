@@ -21,7 +21,7 @@ import numpy as np
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["ConvexBody", "ConvexPieces", "Separation", "separation"]
+__all__ = ["ConvexBody", "ConvexPieces", "Separation", "separation", "skips_edges"]
 
 
 _MAX_PRODUCTS = 1_000_000  # vertex pairs evaluated at once; bounds the memory
@@ -73,14 +73,18 @@ def separation(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Sep
         poses: Shape (m, 3) [m, m, rad].
         pieces: The obstacle of each pose.
     """
-    corners = len(body.vertices) * len(pieces.x)
-    is_many = corners > _MANY and min(len(body.vertices), len(pieces.x)) > 2 * _LIKELY
+    is_many, corners = skips_edges(len(body.vertices), len(pieces.x)), len(body.vertices) * len(pieces.x)
     block = max(1, _MAX_PRODUCTS // (corners if not is_many else 4 * _LIKELY * (len(body.vertices) + len(pieces.x))))
     if len(poses) > block:
         spans = [slice(i, i + block) for i in range(0, len(poses), block)]
         parts = [separation(body, poses[one], pieces.columns(one)) for one in spans]
         return Separation(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     return _by_likely_axes(body, poses, pieces) if is_many else _by_all_axes(body, poses, pieces)
+
+
+def skips_edges(first: int, second: int) -> bool:
+    """Whether `separation` skips edges of polygons with these numbers of corners."""
+    return first * second > _MANY and min(first, second) > 2 * _LIKELY
 
 
 def _by_all_axes(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Separation:

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.separation import separation
+from optdock.geometry.separation import separation, skips_edges
+from optdock.kernels import Kernel, twin_of
 from optdock.verification.certificate import SHARPNESS, TOLERANCE
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
 from optdock.verification.motion_bounds import Cells, PathMotion
@@ -453,7 +454,60 @@ def _nothing_known(count: int) -> AdvanceBounds:
     return AdvanceBounds(np.full(count, -np.inf), np.zeros(count, dtype=np.int64), none, none, np.zeros(0))
 
 
+_KERNEL = Kernel("optdock_advance_bounds", sizes=6, numbers=2)
+
+
+def _body_bounds_native(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    """Return the result of `_body_bounds`, computed in C; its arrays are described there."""
+    body, n, k, m = bounded.body, advances.width.size, len(advances.poses), len(obstacles)
+    corners, q, circles = len(body.vertices), obstacles.vertices.shape[1], len(bounded.centres)
+    yaw = advances.poses[:, 2]
+    bound, row = np.empty(n), np.empty(n, dtype=np.int64)
+    distance, found = np.empty(k * m), np.empty((2, k * m), dtype=np.int64)
+    arrays = (
+        (np.concatenate([part.ravel() for part in (*body, bounded.centres)]), 5 * corners + 2 * circles),
+        (np.ascontiguousarray(advances.poses), 3 * k),
+        (np.stack((np.cos(yaw), np.sin(yaw)), axis=-1), 2 * k),
+        (advances.pose, n),
+        (np.concatenate((advances.velocity.T, advances[3:])), 8 * n),
+        (np.ascontiguousarray(exact_within), n),
+        (obstacles.vertices, 2 * m * q),
+        (obstacles.normals, 2 * m * q),
+        (obstacles.offsets, m * q),
+        (obstacles.lower, 2 * m),
+        (obstacles.upper, 2 * m),
+        (bound, n),
+        (row, n),
+        (distance, k * m),
+        (found[0], k * m),
+        (found[1], k * m),
+        (np.empty(size := 4 * m + 2 * (corners + q + circles)), size),
+        (np.empty(size := 2 * m + n + k + 1, dtype=np.int64), size),
+    )
+    pairs = _KERNEL((n, k, m, corners, q, circles), (bounded.radius, bounded.reach), arrays)
+    if pairs < 0:
+        raise IndexError("advances.pose: must be rows of advances.poses")
+    return AdvanceBounds(bound, row, found[0, :pairs], found[1, :pairs], distance[:pairs])
+
+
+@twin_of(_body_bounds_native)
+def _body_bounds_chosen(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    return _body_bounds_numpy(bounded, advances, obstacles, exact_within)
+
+
 def _body_bounds(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    # The kernel evaluates all edges; of pairs with many corners the twin skips most.
+    has_many = skips_edges(len(bounded.body.vertices), obstacles.vertices.shape[1])
+    return (_body_bounds_numpy if has_many else _body_bounds_chosen)(bounded, advances, obstacles, exact_within)
+
+
+def _body_bounds_numpy(
     bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
 ) -> AdvanceBounds:
     body, reach = bounded.body, bounded.reach

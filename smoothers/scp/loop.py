@@ -15,10 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from smoothers.scp.collision.broad_phase import broad_phase
-from smoothers.scp.collision.collision_scene import body_at_nodes
+from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
-from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
 from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
@@ -146,10 +144,8 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
 def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
     """Return the iterate of a roll-out; pairs with more than `reach` [m] above the required clearance are left out."""
     settings, scene, basis = nlp.settings.loop, nlp.scene, nlp.basis
-    body = body_at_nodes(scene, rollout.poses)
-    pairs = broad_phase(scene, basis, rollout, body, reach + scene.rule.required)
-    found = narrow_phase(scene, basis, rollout, nlp.ends.signs, body, pairs)
-    count = nlp.settings.step.zones
+    found = clearance_along(scene, basis, rollout, nlp.ends.signs, reach + scene.rule.required)
+    pairs, count = found.pairs, nlp.settings.step.zones
     zones = np.zeros(count)
     if found.margin.size:
         # The end poses are given and were checked; the lower bound in the intervals next to them is conservative.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import transform_points
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.obstacles import ObstacleSet
 
-__all__ = ["DistanceField", "Wavefront"]
+__all__ = ["DiscStates", "Discs", "DistanceField", "Wavefront", "disc_states"]
 
 _TILE = 32  # grid points along the side of a tile
 _BLOCK = 24  # obstacle pieces per vectorized evaluation of a tile
@@ -41,6 +43,7 @@ class DistanceField:
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
         self._slots = np.full(self._tiles**2, -1)  # index of the values of a tile; -1: not computed yet
+        self._missing = np.empty_like(self._slots)
         self._values = np.empty((16, _TILE, _TILE))
         self._count = 0
 
@@ -68,22 +71,121 @@ class DistanceField:
         values: FloatArray = self._values[slot, i % _TILE, j % _TILE]
         return values
 
+    @property
+    def memory(self) -> tuple[IntArray, FloatArray, IntArray]:
+        """Slots and values of the tiles for the kernel, and room for the tiles that it misses."""
+        return self._slots, self._values, self._missing
+
+    def compute(self, tiles: IntArray) -> None:
+        """Compute the values of tiles that the kernel has marked as missing."""
+        self._slots[tiles] = -1
+        for tile in np.sort(tiles).tolist():
+            self._fill(tile)
+
     def _fill(self, tile: int) -> None:
         first = np.array(divmod(tile, self._tiles)) * _TILE
         axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
         self.poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach
         rows = self._obstacles.rows_in_box(low, high)
-        best = np.full((_TILE, _TILE), self.reach)
         boxes, others = rows[self._is_box[rows]], rows[~self._is_box[rows]]
-        for some, distances in ((boxes, _to_boxes), (others, _to_polygons)):
-            for k in range(0, some.size, _BLOCK):
-                np.minimum(best, distances(self._obstacles, some[k : k + _BLOCK], axes), out=best)
+        best = _tile_values(self._obstacles, boxes, others, axes, self.reach)
         if self._count == len(self._values):
             self._values = np.concatenate((self._values, np.empty_like(self._values)))
         self._values[self._count] = best
         self._slots[tile] = self._count
         self._count += 1
+
+
+class Discs(NamedTuple):
+    """Discs of a body: centres (k, 2) [m], radii at which they cover the body, and radii inside it, negative for none.
+
+    Both radii have Shape (k,) [m].
+    """
+
+    centres: FloatArray
+    cover: FloatArray
+    inside: FloatArray
+
+
+class DiscStates(NamedTuple):
+    """Masks of poses, Shape (n,).
+
+    `covered`: the covering discs have the required clearance. `blocked`: a disc inside the body has less. `outside`: a
+    disc is outside the field.
+    """
+
+    covered: BoolArray
+    blocked: BoolArray
+    outside: BoolArray
+
+
+_TILE_KERNEL = Kernel("optdock_tile_values", sizes=3, numbers=1)
+_DISC_KERNEL = Kernel("optdock_disc_states", sizes=3, numbers=3)
+
+
+def _disc_states_native(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
+    n, count, yaw = len(poses), discs.cover.size, poses[:, 2]
+    states = np.empty(n, dtype=np.int64)
+    turned, circles = np.stack((np.cos(yaw), np.sin(yaw)), axis=-1), np.stack((*discs.centres.T, *discs[1:]))
+    poses, required = np.ascontiguousarray(poses), np.ascontiguousarray(required)
+    while True:
+        slots, values, missing = field.memory
+        arrays = (
+            (poses, 3 * n),
+            (turned, 2 * n),
+            (required, n),
+            (circles, 4 * count),
+            (slots, slots.size),
+            (values, values.size),
+            (states, n),
+            (missing, slots.size),
+        )
+        tiles = field.side // _TILE
+        found = _DISC_KERNEL((n, count, tiles), (field.spacing, *field.origin.tolist()), arrays)
+        if found == 0:
+            return DiscStates((states & 1).astype(np.bool_), (states & 2).astype(np.bool_), states >= 4)
+        field.compute(missing[:found])
+
+
+@twin_of(_disc_states_native)
+def disc_states(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
+    """Compare the discs of a body at poses, Shape (n, 3), with the required clearances, Shape (n,) [m]."""
+    lower, upper = field.bounds(transform_points(poses, discs.centres))
+    covered: BoolArray = (lower - discs.cover).min(axis=1) >= required
+    blocked: BoolArray = (upper - discs.inside).min(axis=1) < required
+    outside: BoolArray = np.any(np.isneginf(lower), axis=1)
+    return DiscStates(covered, blocked, outside)
+
+
+def _tile_values_native(
+    obstacles: ObstacleSet, boxes: IntArray, others: IntArray, axes: FloatArray, reach: float
+) -> FloatArray:
+    k, b, p = obstacles.vertices.shape[1], boxes.size, others.size
+    values = np.empty((_TILE, _TILE))
+    arrays = (
+        (axes, 2 * _TILE),
+        (obstacles.lower[boxes], 2 * b),
+        (obstacles.upper[boxes], 2 * b),
+        (obstacles.vertices[others], 2 * p * k),
+        (obstacles.normals[others], 2 * p * k),
+        (obstacles.offsets[others], p * k),
+        (values, values.size),
+    )
+    _TILE_KERNEL((b, p, k), (reach,), arrays)
+    return values
+
+
+@twin_of(_tile_values_native)
+def _tile_values(
+    obstacles: ObstacleSet, boxes: IntArray, others: IntArray, axes: FloatArray, reach: float
+) -> FloatArray:
+    """Return the distances from the grid points of a tile, up to `reach` [m]; `axes`: Shape (32, 2), their x and y."""
+    best = np.full((_TILE, _TILE), reach)
+    for some, distances in ((boxes, _to_boxes), (others, _to_polygons)):
+        for k in range(0, some.size, _BLOCK):
+            np.minimum(best, distances(obstacles, some[k : k + _BLOCK], axes), out=best)
+    return best
 
 
 def _are_boxes(obstacles: ObstacleSet) -> BoolArray:

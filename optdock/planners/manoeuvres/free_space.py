@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.pose import transform_points
-from optdock.planners.manoeuvres.distance_field import DistanceField, Wavefront
+from optdock.kernels import Kernel, twin_of
+from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, Wavefront, disc_states
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
+from optdock.verification.proximity import bounded_footprint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.separation import ConvexBody
     from optdock.model.problem import DockingProblem
 
@@ -49,15 +51,13 @@ class Effort(NamedTuple):
     start_relief: float = 0.0
 
 
-class _Discs(NamedTuple):
-    """Centres (k, 2) [m], radius at which discs cover a body, and radii (k,) inside it, negative for no disc."""
-
-    centres: FloatArray
-    cover: float
-    inside: FloatArray
+def _discs(bodies: tuple[ConvexBody, ...], across: int) -> Discs:
+    """Return the discs of all bodies."""
+    parts = zip(*(_discs_of(body, across) for body in bodies), strict=True)
+    return Discs(*(np.concatenate(part) for part in parts))
 
 
-def _discs(body: ConvexBody, across: int) -> _Discs:
+def _discs_of(body: ConvexBody, across: int) -> Discs:
     """Return one disc per square of the body's bounding box, with `across` squares along its shorter side."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     size = high - low
@@ -69,7 +69,40 @@ def _discs(body: ConvexBody, across: int) -> _Discs:
     inside = np.min(body.offsets - centres @ body.normals.T, axis=1)
     # Squares outside the body cover nothing.
     kept = inside > -cover
-    return _Discs(centres[kept], cover, inside[kept])
+    return Discs(centres[kept], np.full(np.count_nonzero(kept), cover), inside[kept])
+
+
+_KERNEL = Kernel("optdock_pose_clearances", sizes=5, numbers=1)
+
+
+def _clearances_native(poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float) -> FloatArray:
+    reach = footprint.circumscribed_radius + within
+    near = obstacles.in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+    n, (m, k, _), yaw = len(poses), near.vertices.shape, poses[:, 2]
+    clearances, turned = np.full(n, within), np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
+    for one in bounded_footprint(footprint):
+        v, circles = len(one.body.vertices), len(one.centres)
+        size = 2 * (v + k + circles)
+        arrays = (
+            (np.concatenate([part.ravel() for part in (*one.body, one.centres)]), 5 * v + 2 * circles),
+            (np.ascontiguousarray(poses), 3 * n),
+            (turned, 2 * n),
+            (near.vertices, 2 * m * k),
+            (near.normals, 2 * m * k),
+            (near.offsets, m * k),
+            (near.lower, 2 * m),
+            (near.upper, 2 * m),
+            (clearances, n),
+            (np.empty(size), size),
+        )
+        _KERNEL((n, m, v, k, circles), (one.radius,), arrays)
+    return clearances
+
+
+@twin_of(_clearances_native)
+def _clearances(poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float) -> FloatArray:
+    """Return the clearances of poses, Shape (n, 3), at most `within` [m], regardless of unions. Shape (n,) [m]."""
+    return pose_clearances(poses, footprint, obstacles, within, checks_unions=False)[0]
 
 
 class FreeSpace:
@@ -92,7 +125,7 @@ class FreeSpace:
         side = max(_SIDE * self.width, 2.0 * float(np.abs(self._goal - self._start).max()))
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
-        self._levels = [[_discs(body, across) for body in self.footprint.bodies] for across in (1, _FINE_DISCS)]
+        self._levels = [_discs(self.footprint.bodies, across) for across in (1, _FINE_DISCS)]
 
     def spacing(self, effort: Effort) -> float:
         """Return the spacing [m] between the poses of a collision check."""
@@ -123,11 +156,9 @@ class FreeSpace:
 
     def may_be_free(self, poses: FloatArray) -> BoolArray:
         """Whether no disc inside the footprint overlaps an obstacle, a fast necessary condition. Shape (n,)."""
-        passed = np.ones(len(poses), dtype=np.bool_)
-        for discs in self._levels[0] if len(self.obstacles) else ():
-            _, upper = self.field.bounds(transform_points(poses, discs.centres))
-            passed &= (upper - discs.inside).min(axis=1) >= 0.0
-        return passed
+        if len(self.obstacles) == 0:
+            return np.ones(len(poses), dtype=np.bool_)
+        return ~disc_states(self.field, self._levels[0], poses, np.zeros(len(poses))).blocked
 
     def is_free(self, poses: FloatArray, margin: float = 0.0, start_relief: float = 0.0) -> BoolArray:
         """Whether poses, Shape (n, 3), have the required clearance plus the margin [m]. Shape (n,)."""
@@ -136,22 +167,15 @@ class FreeSpace:
         required = self.required(poses, margin, start_relief) - TOLERANCE
         free = np.zeros(len(poses), dtype=np.bool_)
         open_rows = np.arange(len(poses))
-        for level in self._levels:
-            is_covered = np.ones(open_rows.size, dtype=np.bool_)
-            is_blocked = np.zeros(open_rows.size, dtype=np.bool_)
-            for discs in level:
-                lower, upper = self.field.bounds(transform_points(poses[open_rows], discs.centres))
-                is_covered &= lower.min(axis=1) - discs.cover >= required[open_rows]
-                is_blocked |= (upper - discs.inside).min(axis=1) < required[open_rows]
-                is_blocked |= np.isneginf(lower).any(axis=1)
-            free[open_rows[is_covered]] = True
-            open_rows = open_rows[~is_covered & ~is_blocked]
+        for discs in self._levels:
+            states = disc_states(self.field, discs, poses[open_rows], required[open_rows])
+            free[open_rows[states.covered]] = True
+            open_rows = open_rows[~(states.covered | states.blocked | states.outside)]
             if open_rows.size == 0:
                 return free
         for k in range(0, open_rows.size, _EXACT_BLOCK):
             self.poll()
             some = open_rows[k : k + _EXACT_BLOCK]
             within = float(required[some].max()) + 1e-6
-            clearances, _ = pose_clearances(poses[some], self.footprint, self.obstacles, within, checks_unions=False)
-            free[some] = clearances >= required[some]
+            free[some] = _clearances(poses[some], self.footprint, self.obstacles, within) >= required[some]
         return free

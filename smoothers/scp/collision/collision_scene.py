@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import frozen
+from optdock.geometry.arrays import frozen, readonly
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from smoothers.scp.settings import DEFAULT_SETTINGS, CollisionSettings
 
@@ -94,6 +94,14 @@ class Scene:
     # middle and half extent of their bounding boxes, Shape (1, m) [m]
     box_middle: Points = field(init=False, repr=False)
     box_half: Points = field(init=False, repr=False)
+
+    @cached_property
+    def packed(self) -> FloatArray:
+        """Body and obstacles as one array, in the order of the kernel's `Scene`."""
+        body, obstacles = self.body, self.obstacles
+        of_body = (body.vertices, body.normals, body.reach, body.lower, body.upper)
+        parts = (*of_body, obstacles.vertices, obstacles.normals, obstacles.lower, obstacles.upper)
+        return readonly(np.concatenate([part.ravel() for part in parts]))
 
     def __post_init__(self) -> None:
         for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):

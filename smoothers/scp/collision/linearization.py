@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.narrow_phase import chords
 
 if TYPE_CHECKING:
@@ -156,9 +157,37 @@ class _Witness(NamedTuple):
     second: IntArray
     share: FloatArray
     gap: FloatArray
-    used: FloatArray
+    used: BoolArray
 
 
+_KERNEL = Kernel("optdock_witnesses", sizes=5, numbers=3)
+
+
+def _witnesses_native(found: Clearance, chosen: IntArray, settings: CollisionSettings) -> _Witness:
+    (v2, p), k, count = found.hull.x.shape, len(found.outline.x), chosen.size
+    vertices, used, values = np.empty((2, 3, count), np.int64), np.empty((3, count), np.int64), np.empty((2, 3, count))
+    arrays = (
+        (chosen, count),
+        (np.ascontiguousarray(found.axis.x), p),
+        (np.ascontiguousarray(found.axis.y), p),
+        (np.ascontiguousarray(found.hull.x), v2 * p),
+        (np.ascontiguousarray(found.hull.y), v2 * p),
+        (np.ascontiguousarray(found.heights), v2 * p),
+        (np.ascontiguousarray(found.outline.x), k * p),
+        (np.ascontiguousarray(found.outline.y), k * p),
+        (found.top, p),
+        (vertices, 6 * count),
+        (used, 3 * count),
+        (values, 6 * count),
+        (np.empty(4 * (v2 + k)), 4 * (v2 + k)),
+    )
+    sizes, numbers = (p, count, v2, k, settings.lowest_vertices), (settings.support_slope, settings.same_witness)
+    if _KERNEL(sizes, (*numbers, settings.lowest_slope), arrays) < 0:
+        raise IndexError("chosen: must be columns of the pairs")
+    return _Witness(vertices[0], vertices[1], values[0], values[1], used.astype(np.bool_))
+
+
+@twin_of(_witnesses_native)
 def _witnesses(found: Clearance, chosen: IntArray, settings: CollisionSettings) -> _Witness:
     axis, hull, outline = (points.columns(chosen) for points in (found.axis, found.hull, found.outline))
     along, height = hull.across(axis), found.heights[:, chosen]

@@ -248,9 +248,10 @@ def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -
         lowest = np.argmin(height, axis=0)
         tilted = height - settings.lowest_slope * np.abs(along - along[lowest, columns])
         kept = np.argpartition(tilted, settings.lowest_vertices, axis=0)[: settings.lowest_vertices]
-        order = np.take_along_axis(kept, np.argsort(np.take_along_axis(along, kept, axis=0), axis=0), axis=0)
+        beside = np.take_along_axis(along, kept, axis=0)
+        order = np.take_along_axis(kept, np.argsort(beside, axis=0, kind="stable"), axis=0)
     else:
-        order = np.argsort(along, axis=0)
+        order = np.argsort(along, axis=0, kind="stable")  # as in the kernels
     along, height = along[order, columns], height[order, columns]
     a, b = _all_pairs(len(order))
     return Chords(order[a], order[b], along[a], height[a], along[b] - along[a], height[b] - height[a])

@@ -297,6 +297,7 @@ HOLD_NO_ARRAYS = {
     "_ruckig",
     "_environment",
     "_prepared",
+    "_library",
 }
 
 

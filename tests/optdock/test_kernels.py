@@ -1,0 +1,309 @@
+"""Kernels in C: equal to their twins, checked at the door, and rejected if they do not belong to the sources."""
+
+import functools
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.families import instance
+from experiments.fuzz.case import rng_of
+from experiments.fuzz.kinds.kernels import DEGENERATE, draw, drawn_shapes, drawn_stretches, judge
+from optdock import kernels
+from optdock.build_kernels import ABOUT, FLAGS, BuildFailed, build, digest_of, kernel_sources
+from optdock.deadline import budget_clock
+from optdock.errors import InvalidValue
+from optdock.kernels import Kernel, KernelMismatch, kernels_in_use, kernels_lane, load_library, twin_of, using_kernels
+from optdock.planning.pipeline import plan_dock
+from optdock.verification import conservative_advancement
+
+ROOT = Path(__file__).resolve().parents[2]
+HAS_COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) is not None
+needs_compiler = pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+
+
+@needs_compiler
+def test_the_library_of_this_tree_is_up_to_date():
+    """Otherwise all tests would run the twins alone: `make kernels` compiles it."""
+    assert kernels._library().handle is not None, kernels._library().reason
+
+
+# Equality with the twins
+
+
+@needs_compiler
+@pytest.mark.parametrize("number", range(80))
+def test_random_proofs_are_equal_to_the_last_bit(number):
+    verdict = judge(draw(rng_of("kernels", 3, number)))
+    assert verdict.outcome in ("equal", "equal proofs", "input refused: InvalidValue"), verdict
+
+
+@pytest.mark.parametrize("degenerate", DEGENERATE)
+def test_random_stretches_are_as_degenerate_as_they_claim(degenerate):
+    bounds, touches = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        (body, obstacles), (advances, within) = drawn_shapes(rng, degenerate), drawn_stretches(rng, degenerate)
+        with np.errstate(all="ignore"):
+            found = conservative_advancement._body_bounds_numpy(body, advances, obstacles, within)
+        bounds.append(found.bound)
+        touches.append(np.any(np.abs(found.distance) < 1e-9))
+    bounds = np.concatenate(bounds)
+    assert not np.isnan(bounds).any()
+    assert np.isneginf(bounds).any() == (degenerate in ("nan", "inf"))
+    assert np.any(bounds < 0.0)
+    assert np.any(touches) == (degenerate == "touching")
+
+
+SCENES = ("pillar 0", "u_dock 1", "reverse_cusp 2", "clutter 1", "car_bay 0", "reverse_alcove 1")
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", SCENES)
+def test_plans_of_both_lanes_are_equal_to_the_last_bit(name):
+    """Prices, paths and certificates; the counted clock ends budgets at the same place."""
+    found, (family, seed) = [], name.split()
+    for lane in ("twin", "native"):
+        with using_kernels(lane), budget_clock("counted"):
+            plan = plan_dock(instance(family, int(seed)).problem, time_budget=1.0)
+            poses = plan.path.poses_at(np.linspace(0.0, plan.path.length, 50))
+            found.append((plan.price, plan.path.digest, plan.certificate.min_clearance, poses.tobytes()))
+    assert found[0] == found[1]
+
+
+# Lanes
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """A process that has not chosen its lane."""
+    monkeypatch.setattr(kernels._OfProcess, "lane", None)
+    monkeypatch.setattr(kernels._OfProcess, "tested", set())
+    monkeypatch.setattr(kernels._OfProcess, "replaced", set())
+    monkeypatch.delenv("OPTDOCK_KERNELS", raising=False)
+    return monkeypatch
+
+
+def test_the_environment_selects_the_lane(fresh):
+    fresh.setenv("OPTDOCK_KERNELS", "twin")
+    assert kernels_lane() == "twin"
+    with pytest.raises(InvalidValue, match="fast"), using_kernels("fast"):
+        pass
+    assert kernels_lane() == "twin"
+
+
+def test_an_unknown_lane_in_the_environment_is_an_error(fresh):
+    fresh.setenv("OPTDOCK_KERNELS", "quick")
+    with pytest.raises(InvalidValue, match="OPTDOCK_KERNELS: must be one of native, twin, audit, got 'quick'"):
+        kernels_lane()
+
+
+@pytest.mark.parametrize(("wanted", "lane"), [(None, "twin"), ("twin", "twin"), ("native", None), ("audit", None)])
+def test_without_a_library_the_twins_run_and_kernels_cannot_be_required(fresh, tmp_path, wanted, lane):
+    fresh.setattr(kernels, "_library", lambda: load_library(tmp_path / "none.so", ROOT))
+    if wanted is not None:
+        fresh.setenv("OPTDOCK_KERNELS", wanted)
+    if lane is None:
+        with pytest.raises(InvalidValue, match=r"none\.so was not compiled"):
+            kernels_lane()
+    else:
+        assert kernels_lane() == lane
+        assert "was not compiled" in kernels_in_use()
+
+
+def pair_of(twin_result, native_result, calls):
+    def native(x):
+        calls.append("native")
+        return native_result
+
+    @twin_of(native)
+    def function(x):
+        calls.append("twin")
+        return twin_result
+
+    return function
+
+
+@needs_compiler
+def test_the_first_call_of_a_kernel_also_runs_its_twin(fresh):
+    calls = []
+    function = pair_of((1.0, np.array([1.0, np.nan])), (1.0, np.array([1.0 + 1e-13, np.nan])), calls)
+    with using_kernels("native"):
+        function(0)
+        function(0)
+    assert calls == ["twin", "native", "native"]
+
+
+WRONG = [1.0 + 1e-11, np.nan, np.array([1.0]), -np.inf]
+
+
+@needs_compiler
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
+def test_a_kernel_that_differs_is_replaced_by_its_twin(fresh, caplog, wrong):
+    calls = []
+    function = pair_of(1.0, wrong, calls)
+    with using_kernels("native"), caplog.at_level(logging.WARNING):
+        assert [function(0), function(0)] == [1.0, 1.0]
+        assert "NumPy for" in kernels_in_use()
+    assert calls == ["twin", "native", "twin"]
+    assert "differs from NumPy" in caplog.text
+
+
+@needs_compiler
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
+def test_an_audit_raises_where_a_kernel_differs(fresh, wrong):
+    with using_kernels("audit"):
+        assert pair_of(1.0, 1.0 + 1e-13, [])(0) == 1.0
+        with pytest.raises(KernelMismatch, match="pair_of"):
+            pair_of(1.0, wrong, [])(0)
+
+
+def test_an_audit_compares_every_part_of_a_result():
+    first = (np.arange(3), (2.0, np.inf))
+    assert kernels._difference(first, (np.arange(3), (2.0, np.inf))) == ""
+    assert "part 0" in kernels._difference(first, (np.array([0, 1, 3]), (2.0, np.inf)))
+    assert "part 1: part 1" in kernels._difference(first, (np.arange(3), (2.0, 1.0)))
+    assert "2 and 1 parts" in kernels._difference(first, (np.arange(3),))
+
+
+# The door
+
+
+SIZES = (1, 1, 1, 4, 3, 1)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "array",
+    [np.zeros(3), np.zeros(4, dtype=np.float32), np.zeros((4, 2))[:, 0], np.zeros(4, dtype=np.int32)],
+    ids=["size", "float32", "strided", "int32"],
+)
+def test_a_kernel_takes_contiguous_arrays_of_its_sizes_alone(array):
+    with pytest.raises(ValueError, match="array 0 must be contiguous with 4 elements"):
+        Kernel("optdock_advance_bounds", sizes=6, numbers=2)(SIZES, (1.0, 1.0), ((array, 4),))
+
+
+@needs_compiler
+@pytest.mark.parametrize("row", [-1, 99])
+def test_a_stretch_of_no_pose_is_an_error(row):
+    rng = np.random.default_rng(1)
+    (body, obstacles), (advances, within) = drawn_shapes(rng, "none"), drawn_stretches(rng, "none")
+    pose = advances.pose.copy()
+    pose[-1] = row
+    with pytest.raises(IndexError), using_kernels("native"):
+        conservative_advancement._body_bounds_native(body, advances._replace(pose=pose), obstacles, within)
+
+
+# The library
+
+
+def built(tmp_path, *flags, define=()):
+    """Compile the file with digest and self-test alone, which is quick."""
+    library = tmp_path / "about.so"
+    values = {"DIGEST": digest_of(ROOT, [ABOUT]), "SOURCES": ABOUT.as_posix(), **dict(define)}
+    macros = [f'-DOPTDOCK_{name}="{value}"' for name, value in values.items()]
+    command = [*os.environ.get("CC", "cc").split(), *FLAGS, *flags, *macros, "-o", library, ROOT / ABOUT, "-lm"]
+    subprocess.run(command, check=True)
+    return load_library(library, ROOT)
+
+
+@needs_compiler
+def test_a_library_of_these_sources_is_used(tmp_path):
+    found = built(tmp_path)
+    assert found.handle is not None, found.reason
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("flags", "define", "why"),
+    [
+        (("-ffinite-math-only",), {}, "fails its self-test"),
+        ((), {"DIGEST": "0"}, "was compiled from other sources"),
+        ((), {"SOURCES": "optdock/none.c"}, "its sources cannot be read"),
+        (("-Doptdock_kernels_self_test=hidden",), {}, "cannot be loaded"),
+    ],
+    ids=["finite math", "digest", "no source", "no self-test"],
+)
+def test_a_library_that_does_not_belong_here_is_rejected(tmp_path, flags, define, why):
+    found = built(tmp_path, *flags, define=define)
+    assert found.handle is None
+    assert why in found.reason
+    assert "python -m optdock.build_kernels" in found.reason
+    assert not found.is_expected
+
+
+@needs_compiler
+def test_a_library_with_another_interface_is_rejected(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernels, "ABI", 2)
+    assert "has interface 1 instead of 2" in built(tmp_path).reason
+
+
+def test_a_file_that_is_no_library_is_rejected(tmp_path):
+    (tmp_path / "text.so").write_text("no library")
+    assert "cannot be loaded" in load_library(tmp_path / "text.so", ROOT).reason
+
+
+@needs_compiler
+def test_a_changed_source_needs_a_new_library(tmp_path):
+    for source in kernel_sources(ROOT):
+        (tmp_path / source).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / source, tmp_path / source)
+    library = build(tmp_path)
+    assert load_library(library, tmp_path).handle is not None
+    changed = tmp_path / kernel_sources(ROOT)[1]
+    changed.write_text(changed.read_text() + "\n")
+    assert "was compiled from other sources" in load_library(library, tmp_path).reason
+
+
+def test_a_missing_compiler_is_told(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -m64")
+    with pytest.raises(BuildFailed, match="no C compiler: no-such-compiler -m64"):
+        build(ROOT, tmp_path / "none.so")
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_compiler
+def test_a_source_that_does_not_compile_leaves_the_library_alone(tmp_path):
+    (tmp_path / "optdock").mkdir()
+    (tmp_path / ABOUT).write_text("int x = ;")
+    (tmp_path / "kept.so").write_text("kept")
+    with pytest.raises(BuildFailed, match="error"):
+        build(tmp_path, tmp_path / "kept.so")
+    assert (tmp_path / "kept.so").read_text() == "kept"
+
+
+@pytest.mark.parametrize("lane", ["twin", "native"])
+def test_the_version_names_the_kernels(lane):
+    if lane == "native" and not HAS_COMPILER:
+        pytest.skip("no C compiler")
+    command = [sys.executable, "-c", "from optdock.cli import main; main()", "--version"]
+    environment = {**os.environ, "OPTDOCK_KERNELS": lane, "PYTHONPATH": str(ROOT)}
+    told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert told == [
+        "0.1.0",
+        "kernels: C (interface 1)" if lane == "native" else "kernels: NumPy (OPTDOCK_KERNELS=twin)",
+    ]
+
+
+@functools.cache
+def c_code(source):
+    return (ROOT / source).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("source", kernel_sources(ROOT)[1:], ids=lambda source: source.stem)
+def test_every_kernel_stands_alone_beside_its_twin(source):
+    """Search and proof share no native code: no file includes or calls another, and all but the kernels is static."""
+    code = c_code(source)
+    assert (ROOT / source.with_name(source.name.replace("_kernel.c", ".py"))).is_file()
+    assert {line.strip() for line in code.splitlines() if line.startswith("#include")} == {
+        "#include <math.h>",
+        "#include <stdint.h>",
+    }
+    assert "malloc" not in code
+    starts = [line for line in code.splitlines() if line[:1].isalpha() and "(" in line]
+    assert all(line.startswith(("static ", "int64_t optdock_")) for line in starts)
