@@ -118,8 +118,8 @@ def test_configured_paths_exist():
 
 
 # What opens a file, and where that is right all the same: the guarded reader itself, Pillow on bytes that it has read,
-# rosbags behind `check_regular`, a launch file, whose Python need not have optdock, the judge, which imports nothing, and
-# the build of the kernels, which runs before the dependencies of optdock are installed.
+# rosbags behind `check_regular`, a launch file, whose Python need not have optdock, the judge, which imports nothing,
+# and the build of the kernels, which runs before the dependencies of optdock are installed.
 OPENERS = {"open", "fdopen", "read_text", "read_bytes", "fromfile", "loadtxt", "genfromtxt", "memmap", "from_xml_path"}
 OPENING_IS_RIGHT = {
     ("optdock/build_kernels.py", "(root / source).read_bytes"),
