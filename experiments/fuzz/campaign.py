@@ -167,7 +167,10 @@ def _work(campaign: Campaign, job: int, jobs: int, out: multiprocessing.Queue[ob
     used = dict.fromkeys(campaign.kinds, 0.0)
     numbers = {kind: itertools.count(job, jobs) for kind in campaign.kinds}
     saved: collections.Counter[str] = collections.Counter()
+    owner = multiprocessing.parent_process()
     while used and time.monotonic() < deadline and not stop.is_set():
+        if owner is not None and not owner.is_alive():  # it was killed
+            return
         kind = min(used, key=lambda name: used[name] / _SHARE[name])
         number = next(numbers[kind])
         if campaign.count is not None and number >= campaign.count:
