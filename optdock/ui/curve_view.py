@@ -41,6 +41,7 @@ slider.title = `${at[k].toFixed(2)} s ${motion.data.words[k] ?? ""}`;
 """
 # Advances the slider in real time until its end, or until the button is released.
 _PLAY = """
+button.label = button.active ? "Pause" : "Play";
 if (!button.active) return;
 if (slider.value >= slider.end) slider.value = 0;
 const begun = performance.now(), from = motion.data.at[slider.value] ?? 0;

@@ -16,6 +16,7 @@ from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import transform_points
 from optdock.impossibility import BlockedStraight, ImpossibilityProof
 from optdock.io.plan_file import DEFAULT_PERIOD, TrajectoryColumns
+from optdock.io.proof_cells import proof_of
 from optdock.model.trajectory import Trajectory
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plotting.plan_picture import VIEW_REASONS, refused_pose
@@ -98,7 +99,7 @@ class DrawnPlan:
         motion: Quantities of the motion with their bounds, or of the path if there is no motion; None without a path.
         cones: Cones of the camera where the marker must be in view, Shape (n, 2) [m] each.
         view: Visible rectangle.
-        file: Content of the plan file without the samples of the motion, which `plan_file` adds.
+        file: Content of the plan file without the samples of the motion and the proof, which `plan_file` adds.
     """
 
     number: int
@@ -131,19 +132,18 @@ class DrawnPlan:
         """Outlines of the robot at `swept`, Shape (k, corners, 2) [m]."""
         return transform_points(self.swept, self.outline)
 
-    @property
-    def plan_file(self) -> PlanFile:
-        """Content of the plan file that `optdock plan --out` writes."""
+    def plan_file(self, problem: DockingProblem) -> PlanFile:
+        """Return the content of the plan file that `optdock plan --out` writes.
+
+        Args:
+            problem: The docking problem of the request.
+        """
         file = self.file
         if file.path is None or file.time_law is None:
             return file
-        motion = Trajectory(file.path, file.time_law)
-        return replace(file, trajectory=TrajectoryColumns.from_trajectory(motion, DEFAULT_PERIOD))
-
-    @property
-    def plan_text(self) -> str:
-        """Text of the plan file that `optdock plan --out` writes."""
-        return self.plan_file.as_json()
+        motion = TrajectoryColumns.from_trajectory(Trajectory(file.path, file.time_law), DEFAULT_PERIOD)
+        proof = proof_of(file.path, problem, start_relief(file)) if self.outcome == "certified" else None
+        return replace(file, trajectory=motion, proof=proof)
 
 
 def drawn_plan(

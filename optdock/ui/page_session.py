@@ -49,6 +49,14 @@ if TYPE_CHECKING:
 __all__ = ["PageSession", "make_page"]
 
 _STALE = 150  # [ms] until an answer to another scene is faded
+# A message lies at the bottom of the window, whatever part of the page is visible, and moves nothing.
+_MESSAGE = {"position": "fixed", "left": "1rem", "bottom": "1rem", "z-index": "9", "max-width": "44rem"}
+_GRADES = """
+:host {{ pointer-events: none; }}
+p {{ margin: 0; padding: 0.6rem 1rem; font-size: 0.95rem; background: {0}; color: {1}; border: 2px solid {1}; }}
+p.bad {{ color: {2}; border-color: {2}; font-weight: 600; }}
+"""
+_GRADE_INKS = ("paper", "ink", "hot")
 _LONGEST_STILL = 0.1  # [s] for which the picture may stay while the hand moves
 
 
@@ -90,8 +98,9 @@ class PageSession:
             "Copy link": self._explain_link,
         }  # fmt: skip
         self.toolbar = PageToolbar(self.history, calls, self.show_scene, self.load_worked)
-        self.pointer = ScenePointer(document, self.view, self.history, self.show_scene)
-        self.message, self.words, self.unlinked = (Div(text="", sizing_mode="stretch_width") for _ in range(3))
+        self.pointer = ScenePointer(document, self.view, self.history, self.show_scene, self._explain_map)
+        self.words, self.unlinked = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
+        self.message = Div(text="", styles=_MESSAGE, stylesheets=[_GRADES.format(*map(self.view.ink, _GRADE_INKS))])
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
         document.on_event(DocumentReady, lambda _: self.view.data.connect())
@@ -131,6 +140,9 @@ class PageSession:
             reason = f"{error}; save the scenario: a reload or a lost connection loses changes that are not saved"
         self.toolbar.link.text = link
         self.unlinked.text = f'<p role="note" class="unlinked">{escape(reason)}</p>' if reason else ""
+
+    def _explain_map(self) -> None:
+        self.say("The map cannot be dragged. An obstacle that is added can, and a map is changed in its file.")
 
     def _explain_link(self) -> None:
         with_map = self.history.scene.problem.costmap is not None
@@ -319,6 +331,7 @@ class PageSession:
             version=__version__,
             groups=list(self.fields.groups),
             dark=bool(variant),
+            has_map=self.history.scene.problem.costmap is not None,
         )
         self.document.title = "optdock"
 

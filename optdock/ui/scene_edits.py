@@ -102,18 +102,19 @@ class EditedScene:
     def _handles(self) -> tuple[Handle, ...]:
         return handles_of(self.problem, self.obstacles)
 
-    def grip_at(self, x: float, y: float, reach: float) -> Grip | None:
+    def grip_at(self, x: float, y: float, reach: float, selected: str = "") -> Grip | None:
         """Return the part that a pointer grabs, or None if no part is within reach; see `scene_grips.grip_at`.
 
         Args:
             x: [m].
             y: [m].
             reach: Tolerance of the pointer, >= 0 [m].
+            selected: Name of the part that comes before others of its kind.
 
         Raises:
             InvalidValue: If a number is not finite or out of range.
         """
-        return grip_at(self.problem, self.obstacles, (x, y), reach)
+        return grip_at(self.problem, self.obstacles, (x, y), reach, selected)
 
     def grip(self, name: str) -> Grip:
         """Return the grip of a part at the point of its handle.

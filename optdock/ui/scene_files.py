@@ -146,9 +146,9 @@ def answer_files(drawn: DrawnPlan, scene: EditedScene, name: str) -> dict[str, C
     """
     from optdock.reports.html import plan_chapter, save_report
 
-    text, file, stem = drawn.plan_text, drawn.plan_file, name.removesuffix(".yaml").removesuffix(".yml")
+    file, stem = drawn.plan_file(scene.problem), name.removesuffix(".yaml").removesuffix(".yml")
     return {
-        ".json": lambda path: path.write_text(text, encoding="utf-8"),
+        ".json": lambda path: path.write_text(file.as_json(), encoding="utf-8"),
         ".html": lambda path: save_report(path, stem, [plan_chapter(f"{stem}.json", file, scene.problem)]),
     }
 

@@ -145,11 +145,16 @@ def handles_of(problem: DockingProblem, obstacles: Sequence[EditedObstacle]) -> 
 
 
 def grip_at(
-    problem: DockingProblem, obstacles: Sequence[EditedObstacle], place: tuple[float, float], reach: float
+    problem: DockingProblem,
+    obstacles: Sequence[EditedObstacle],
+    place: tuple[float, float],
+    reach: float,
+    selected: str = "",
 ) -> Grip | None:
     """Return the part that a pointer grabs, or None if no part is within reach.
 
-    Turning handles come before corners, corners before the robot at the start, and then the dock and the obstacles;
+    Turning handles come before corners, corners before the robot at the start, and then the dock and the obstacles; the
+    selected part comes first among handles and corners, and among bodies;
     among parts of one kind the nearest is returned. The reach of a turning handle ends outside the robot, and that of a
     corner at a third of the longer adjacent edge, so that a coarse pointer can grab bodies, too.
 
@@ -158,6 +163,7 @@ def grip_at(
         obstacles: Its obstacles.
         place: Pointer [m].
         reach: Tolerance of the pointer, >= 0 [m].
+        selected: Name of the selected part.
 
     Raises:
         InvalidValue: If a number is not finite or out of range.
@@ -167,7 +173,8 @@ def grip_at(
         raise InvalidValue(f"reach: must be >= 0 m, got {reach}")
     small = [*_turning_within(problem, x, y, reach), *_corners_within(obstacles, x, y, reach)]
     found = small or [*_bodies_within(problem, obstacles, x, y, reach)]
-    return Grip(min(found, key=lambda one: one[:2]).part.name, x, y) if found else None
+    chosen = [one for one in found if one.part.name == selected] or found
+    return Grip(min(chosen, key=lambda one: one[:2]).part.name, x, y) if chosen else None
 
 
 def checked_place(point: tuple[float, float]) -> tuple[float, float]:

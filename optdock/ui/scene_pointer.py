@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue
+from optdock.model.costs import LETHAL
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,14 +32,21 @@ class ScenePointer:
         view: Figure of the scene.
         history: The scene.
         on_select: Called after a part was selected.
+        on_map: Called after a drag that began at an occupied cell of the map.
     """
 
     def __init__(
-        self, document: Document, view: SceneView, history: SceneHistory, on_select: Callable[[], object]
+        self,
+        document: Document,
+        view: SceneView,
+        history: SceneHistory,
+        on_select: Callable[[], object],
+        on_map: Callable[[], object],
     ) -> None:
         from bokeh import events
 
-        self._document, self._view, self._history, self._on_select = document, view, history, on_select
+        self._document, self._view, self._history = document, view, history
+        self._on_select, self._on_map = on_select, on_map
         self._held: tuple[Grip, EditedScene] | None = None  # the grip, and the scene at the beginning of the drag
         self._made = history.scene  # by the drag; after any other change of the scene, the part is not held any more
         self._place: tuple[float, float] | None = None  # newest place of the pointer that has not been applied
@@ -59,6 +67,9 @@ class ScenePointer:
         grip = self._tap(event)
         self._made = self._history.scene
         self._held = None if grip is None else (grip, self._made)
+        costmap = self._made.problem.costmap
+        if grip is None and costmap is not None and costmap.cost_at([(event.x, event.y)])[0] == LETHAL:
+            self._on_map()
 
     def _drag(self, event: Pan) -> None:
         is_first, self._place = self._place is None, (event.x, event.y)
@@ -86,7 +97,7 @@ class ScenePointer:
     def _tap(self, event: PanStart | Tap) -> Grip | None:
         """Select and return the part at the pointer."""
         try:
-            grip = self._history.scene.grip_at(event.x, event.y, self._view.metres(_REACH))
+            grip = self._history.scene.grip_at(event.x, event.y, self._view.metres(_REACH), self._history.selected)
         except (InvalidValue, TypeError):  # outside of the axes
             return None
         if grip is not None:

@@ -153,7 +153,7 @@ class SceneView:
                 "radius": np.array([min(one.radius, 0.12) for one in handles]),
                 "fill": inks,
                 "line": [
-                    self.ink("hot") if one.name == selected else ink for one, ink in zip(handles, inks, strict=True)
+                    self.ink("ink") if one.name == selected else ink for one, ink in zip(handles, inks, strict=True)
                 ],
             },
         )

@@ -98,7 +98,7 @@ def _path_words(plan: PlanFile, problem: DockingProblem | None) -> Iterator[str]
         )
     margin, tube = claimed(plan, "margin", math.inf), claimed(plan, "tube", 0.0)
     if math.isfinite(margin):
-        yield f"Everywhere, the clearance exceeds the required one by at least {margin:.4f} m."
+        yield f"Everywhere, the clearance exceeds the required one by at least {round(margin, 4) + 0.0:.4f} m."
     if tube > 0.0 and problem is not None:
         tracking = problem.robot.tracking
         yield (

@@ -74,8 +74,8 @@ def test_margins_are_the_distances_of_shapely_beyond_the_required_clearance(plan
 def test_the_text_is_the_plan_file_and_certifies(planned, tmp_path):
     drawn = pickle.loads(pickle.dumps(drawn_plan((1, ""), planned.problem, planned)))
     planned.save(tmp_path / "plan.json")
-    assert drawn.plan_text == (tmp_path / "plan.json").read_text()
-    assert judge_plan_file(parse_plan(drawn.plan_text, "text"), planned.problem)
+    assert drawn.plan_file(planned.problem).as_json() == (tmp_path / "plan.json").read_text()
+    assert judge_plan_file(parse_plan(drawn.plan_file(planned.problem).as_json(), "text"), planned.problem)
 
 
 def test_a_proof_is_drawn_as_its_region_and_its_bottleneck():
@@ -104,7 +104,7 @@ def test_a_proof_is_drawn_as_its_region_and_its_bottleneck():
     assert place.name == "bottleneck"
     assert place.pose == pytest.approx([proof.bottleneck.x, proof.bottleneck.y, proof.bottleneck.yaw])
     assert drawn.motion is None
-    assert judge_plan_file(parse_plan(drawn.plan_text, "text"), problem).outcome == "impossible"
+    assert judge_plan_file(parse_plan(drawn.plan_file(problem).as_json(), "text"), problem).outcome == "impossible"
 
 
 def test_refusals_have_their_place_reason_and_code():
@@ -120,7 +120,7 @@ def test_refusals_have_their_place_reason_and_code():
     assert place.clearance < 0.0
     assert math.dist(*place.nearest) == 0.0
     assert drawn.path.shape == (0, 3)
-    assert drawn.plan_text == failed_plan_file(caught.value, on_shelf.frame).as_json()
+    assert drawn.plan_file(on_shelf).as_json() == failed_plan_file(caught.value, on_shelf.frame).as_json()
     assert drawn_plan((1, ""), on_shelf, Cancelled("stop")).outcome == "cancelled"
     assert drawn_plan((1, ""), on_shelf, OptdockError("lost")).places == ()
 

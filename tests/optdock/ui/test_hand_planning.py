@@ -43,7 +43,7 @@ def test_a_dragged_plan_is_deformed_and_certified_for_its_own_scene():
         drawn = planning.answer(PlanRequest(k + 1, f"scene {k}", scenario, in_hand=True), never)
         methods.append(drawn.method)
         assert (drawn.number, drawn.fingerprint, drawn.outcome) == (k + 1, f"scene {k}", "certified")
-        plan = parse_plan(drawn.plan_text, "text")
+        plan = parse_plan(drawn.plan_file(scenario.problem).as_json(), "text")
         assert judge_plan_file(plan, scenario.problem)
         other = scenario_at(0.02 * k + 0.01, 0.03 * k)
         assert not judge_plan_file(plan, other.problem)

@@ -269,6 +269,18 @@ def test_a_slider_is_one_step_of_undo_and_is_planned_at_its_end(worked):
     assert page.history.scene is before
 
 
+def test_a_drag_of_the_map_is_explained(monkeypatch, tmp_path):
+    monkeypatch.setattr(page_module, "RequestProcess", Requests)
+    page = PageSession(Document(), open_scene(None, tmp_path), tmp_path)
+    scene, costmap = page.history.scene, page.history.scene.problem.costmap
+    rows, columns = np.nonzero(costmap.data == 254)
+    places = costmap.centre_of(np.column_stack((columns, rows)))
+    occupied = next(tuple(place) for place in places.tolist() if scene.grip_at(*place, 0.1) is None)
+    drag(page, occupied, (occupied[0] + 0.3, occupied[1]))
+    assert "The map cannot be dragged" in page.message.text
+    assert page.history.scene is scene
+
+
 def test_a_scene_with_a_map_returns_by_its_link(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "RequestProcess", Requests)
     page = PageSession(Document(), open_scene(None, tmp_path), tmp_path)

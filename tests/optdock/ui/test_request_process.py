@@ -113,7 +113,7 @@ def test_answers_carry_number_and_fingerprint_and_hold_for_their_scene(process, 
         (drawn,) = answers_up_to(process, number + k)
         assert (drawn.number, drawn.fingerprint, drawn.outcome) == (number + k, f"scene {k}", "certified")
         assert drawn.method == ("deformed" if in_hand else "planned")
-        assert judge_plan_file(parse_plan(drawn.plan_text, "text"), scenario.problem)
+        assert judge_plan_file(parse_plan(drawn.plan_file(scenario.problem).as_json(), "text"), scenario.problem)
     until(lambda: len(told) == 3)
     process._on_answer = None
 

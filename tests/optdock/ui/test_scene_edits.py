@@ -289,3 +289,13 @@ def test_the_reach_of_a_turning_handle_ends_outside_the_robot():
     assert BAY.grip_at(front.x, front.y, 0.5).name == "start"
     ahead = BAY.problem.start @ Pose2(0.6, 0.0, 0.0)
     assert BAY.grip_at(ahead.x, ahead.y, 0.5).name == "start.heading"
+
+
+def test_the_selected_part_comes_first():
+    scene = BAY
+    start = scene.problem.start
+    scene = scene.added_box(start.x, start.y)
+    box = f"obstacles[{len(scene.polygons) - 1}]"
+    assert scene.grip_at(start.x, start.y, 0.01).name == "start"
+    assert scene.grip_at(start.x, start.y, 0.01, box).name == box
+    assert scene.grip_at(start.x, start.y, 0.01, "dock").name == "start"
