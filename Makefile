@@ -83,7 +83,7 @@ test-kernels: kernels
 	OPTDOCK_KERNELS=twin $(BIN)/python -m pytest -q tests/optdock/test_portfolio.py
 
 unit: $(STAMP)
-	$(BIN)/python -m optdock.build_kernels || echo "the tests run without kernels in C"
+	$(BIN)/python -m optdock.build_kernels || echo "no kernels in C: the tests run with NumPy alone"
 	$(BIN)/python -m pytest -q -n 2 tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
 	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
 

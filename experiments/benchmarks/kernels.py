@@ -20,12 +20,14 @@ from optdock.deadline import set_clock
 from optdock.errors import OptdockError
 from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
+from optdock.planners.manoeuvres import distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
-from optdock.verification import certify_path
+from optdock.verification import certify_path, conservative_advancement
 from optdock.verification.conservative_advancement import prove_clearance
+from smoothers.scp.collision import clearance_along, linearization
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.kernels import Lane
     from optdock.model.problem import DockingProblem
@@ -34,6 +36,16 @@ __all__ = ["main"]
 
 EASY = ("open_s", "reverse_cusp", "pillar", "collision", "angled_hexagon", "long_approach")
 _BUDGET = 3.0  # [s] of CPU time
+# Modules and names by which each kernel is called.
+_KERNELS = {
+    "bounds of the proof": (conservative_advancement, "_body_bounds_chosen"),
+    "clearance along a roll-out": (clearance_along, "_along"),
+    "witness points": (linearization, "_witnesses"),
+    "disc states": (free_space, "disc_states"),
+    "tile of the field": (distance_field, "_tile_values"),
+    "clearances of poses": (free_space, "_clearances"),
+}
+_MOST_CALLS = 40  # of every kernel, replayed
 _LANES: tuple[Lane, Lane] = ("twin", "native")
 
 
@@ -68,6 +80,10 @@ def main(arguments: Sequence[str]) -> None:
         for what, prove in (("clearance proof", prove_clearance), ("certify_path", certify_path))
         for family in ("pillar", "many_obstacles", "clutter")
     ]
+    rows += [
+        _row(f"{what}, {len(calls)} calls", [_replayed(run, calls, 4 * options.repeats)])
+        for what, (run, calls) in _recorded([instance("many_obstacles", 0).problem, next(iter(bays())).problem])
+    ]
     header = ("what", "pairs", "equal", "twin ms p50", "p99", "C ms p50", "p99", "ratio p50")
     print(Table("Kernels in C against their NumPy twins", header, tuple(rows), "CPU time, lanes in turn, fastest run."))
 
@@ -90,6 +106,35 @@ def _proofs(family: str, seed: int, prove: Callable[[Path, DockingProblem], obje
     segments = task.witness.segments
     # A new path object, because complete proofs are cached per path.
     return _fastest(lambda: repr(prove(Path(segments), task.problem)), repeats)
+
+
+def _recorded(
+    problems: list[DockingProblem],
+) -> Iterator[tuple[str, tuple[Callable[..., object], list[tuple[object, ...]]]]]:
+    """Yield each kernel with its calls in plans of `problems`."""
+    for what, (module, name) in _KERNELS.items():
+        run, calls = getattr(module, name), list[tuple[object, ...]]()
+
+        def recording(*args: object, run: Callable[..., object] = run, calls: list[object] = calls) -> object:  # type: ignore[assignment]
+            calls.append(args)
+            return run(*args)
+
+        setattr(module, name, recording)
+        for problem in problems:
+            _planned(problem)
+        setattr(module, name, run)
+        if calls:
+            yield what, (run, calls[:_MOST_CALLS])
+
+
+def _replayed(run: Callable[..., object], calls: list[tuple[object, ...]], repeats: int) -> _Pair:
+    def all_of_them() -> str:
+        for args in calls:
+            run(*args)
+        return ""
+
+    found = _fastest(all_of_them, repeats)
+    return _Pair(found.twin / len(calls), found.native / len(calls), found.same)
 
 
 def _planned(problem: DockingProblem) -> str:

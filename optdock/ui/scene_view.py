@@ -206,7 +206,7 @@ class SceneView:
         self._add("station", "Patches", area, "image", fill_color=ink("dock"), line_color=ink("dock"))
         closed: dict[str, Any] = {"fill_color": ink("impossible"), "fill_alpha": 0.45, "line_alpha": 0.0}
         self._add("region", "MultiPolygons", area, "underlay", **closed)
-        self._add("cones", "Patches", area, "underlay", fill_color=ink("raw"), fill_alpha=0.08, line_alpha=0.0)
+        self._add("cones", "Patches", area, "underlay", fill_color=ink("muted"), fill_alpha=0.12, line_alpha=0.0)
         self._add("swept", "Patches", (*area, "fill"), "underlay", **faint)
         self._add("raw", "Line", line, "underlay", line_color=ink("raw"), line_dash="dashed", line_width=1.5)
         self._add("forward", "Line", line, "underlay", line_color=ink("path"), line_width=3.0)
@@ -225,7 +225,7 @@ class SceneView:
             self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
             self._add(f"{name} nose", "MultiLine", area, **edge)
         robot: dict[str, Any] = {"fill_color": ink("robot"), "fill_alpha": 0.6, "line_color": ink("ink")}
-        cone: dict[str, Any] = {"fill_color": ink("raw"), "fill_alpha": 0.15, "line_color": ink("raw")}
+        cone: dict[str, Any] = {"fill_color": ink("muted"), "fill_alpha": 0.2, "line_color": ink("muted")}
         tube: dict[str, Any] = {"fill_alpha": 0.0, "line_color": ink("ink"), "line_dash": "dotted"}
         styles = zip(GHOSTS, (robot, cone, tube), strict=True)
         self._ghosts = [self._add(name, "Patch", line, **style) for name, style in styles]
