@@ -12,6 +12,7 @@ from experiments.fuzz.kinds.damaged_files import judge
 from optdock.config import load_scenario
 from optdock.errors import InvalidFile, NoMotionExists
 from optdock.io.plan_file import parse_plan
+from optdock.io.proof_cells import proof_of
 from optdock.reports.plan_file_verdict import judge_plan_file
 from optdock.verification import Certificate
 
@@ -38,6 +39,21 @@ def test_what_plan_writes_is_certified_or_impossible(problems, name):
     assert verdict.outcome == ("impossible" if name == "shut" else "certified")
     assert bool(verdict) == (name != "shut")
     assert verdict.false_claims == ()
+
+
+@pytest.mark.parametrize("part", [None, "obstacles", "robot", "dock", "region"])
+def test_the_proof_of_another_problem_is_a_false_claim(problems, part):
+    document = document_of("bend")
+    path, relief = parse_plan(json.dumps(document), "plan.json").path, document["certificate"]["start_relief"]
+    document["proof"] = json.loads(json.dumps(proof_of(path, problems["bend"], relief)))
+    if part == "obstacles":
+        document["proof"]["obstacles"].pop()
+    elif part is not None:
+        holder = document["proof"] if part == "region" else document["proof"][part]
+        holder["footprint" if part == "robot" else "pose" if part == "dock" else part][0] = 7.0
+    verdict = verdict_on(document, problems["bend"])
+    assert verdict.false_claims == (() if part is None else (f"proof.{part} is not that of the problem",))
+    assert "proof.cells" in dict(verdict.rows)["not judged"]
 
 
 def test_one_damage_anywhere_is_seen_or_means_the_same():

@@ -296,8 +296,17 @@ def damaged(text: str, name: str, rng: Rng, other: str) -> str | None:
         key = str(rng.choice(["proof", "path"]))
         return f"{text[:-1]}, {json.dumps(key)}: {json.dumps(document[key])}}}"
     if name == "swapped":
-        foreign = json.loads(other)
-        key = str(rng.choice(["path", "proof"]))
-        document[key] = foreign[key]
-        return json.dumps(document) if _misses_the_dock(document) else None
+        return _swapped(document, json.loads(other), str(rng.choice(["path", "proof", "cells", "trajectory"])))
     return json.dumps(document) if DAMAGES[name](rng, document) else None
+
+
+def _swapped(document: Case, foreign: Case, key: str) -> str | None:
+    """Return the text with a part of a file of another path, or None if the parts may fit together."""
+    apart = abs(motion_of(_gears(document)).length - motion_of(_gears(foreign)).length) > _SEEN
+    if key == "cells":
+        document["proof"]["cells"] = foreign["proof"]["cells"]
+        return json.dumps(document) if apart else None
+    if key == "trajectory" and key not in document:
+        return None
+    document[key] = foreign[key]
+    return json.dumps(document) if (apart if key == "trajectory" else _misses_the_dock(document)) else None

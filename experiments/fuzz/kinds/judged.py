@@ -7,8 +7,11 @@ refusal`. A path that cannot be written with a proof is only counted.
 
 from __future__ import annotations
 
+import functools
 import json
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from experiments.fuzz.case import Verdict, rng_of
 from experiments.fuzz.doors import law_of, path_of, problem_of
@@ -18,9 +21,17 @@ from experiments.fuzz.generators.problems import path_problem
 from experiments.fuzz.kinds import plans
 from experiments.fuzz.oracle.motion import motion_of
 from optdock.errors import OptdockError
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
 from optdock.io.path_columns import curves_of
 from optdock.io.proof_cells import proof_of
-from optdock.model.path import PolylineSegment
+from optdock.model.constant_jerk import TimeLaw
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock
 from optdock.verification import certify_motion, certify_path
@@ -28,21 +39,15 @@ from optdock.verification.judge import Refusal
 from optdock.verification.judge import judge as judged
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from experiments.fuzz.case import Case
-    from optdock.model.constant_jerk import TimeLaw
-    from optdock.model.path import Path
-    from optdock.model.problem import DockingProblem
 
-__all__ = ["draw", "judge", "plan_text", "refusal_of"]
+__all__ = ["another_file", "draw", "judge", "plan_text", "refusal_of"]
 
-_PLANS, _MOTIONS = 0.08, 0.37  # shares of planned and of timed cases; the others are paths
+_PLANS, _MOTIONS = 0.05, 0.4  # shares of planned and of timed cases; the others are paths
 _EASED = 0.6  # share of paths and motions with weaker rules, so that more of them are certified
-_DAMAGES = 4  # per file
+_DAMAGES = 12  # per file
 _LONG = 1e6  # [s]: intervals of a longer motion are too wide
 _OTHERS = ("hostile", "repeated", "swapped")
-_last = [""]  # the file before, for swapped parts
 
 
 def draw(rng: np.random.Generator) -> Case:
@@ -93,6 +98,20 @@ def plan_text(path: Path, law: TimeLaw | None, proof: dict[str, object]) -> str:
     return json.dumps(document)
 
 
+@functools.cache
+def another_file() -> str:
+    """Return an accepted file of a straight path of 1.234 m, of which parts are swapped into other files."""
+    spline = ClothoidSpline(Pose2(5.0, 5.0, 0.3), np.array([0.0, 1.234]), np.zeros(2))
+    path = Path((ClothoidSegment(spline),))
+    robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits(max_acceleration=0.8, max_deceleration=0.8))
+    problem = DockingProblem(path.start, Dock(path.end), robot)
+    ramp = 0.5, 0.5
+    law = TimeLaw(np.array([*ramp, 0.834 / 0.4, *ramp]), np.array([1.6, -1.6, 0.0, -1.6, 1.6]))
+    proof = proof_of(path, problem, 0.0)
+    assert proof is not None
+    return plan_text(path, law, proof)
+
+
 def refusal_of(text: str) -> str:
     """Return the reason why the second judge refuses a file, or an empty string."""
     try:
@@ -139,12 +158,11 @@ def judge(case: Case) -> Verdict:
     reason = refusal_of(text)
     if reason:
         return Verdict("false refusal", reason)
-    refused, other = 0, _last[0]
-    _last[0] = text
+    refused = 0
     rng = rng_of("damages", case["damages"], 0)
     for _ in range(_DAMAGES):
         name = str(rng.choice([*DAMAGES, *_OTHERS]))
-        broken = None if name == "swapped" and not other else damaged(text, name, rng, other)
+        broken = damaged(text, name, rng, another_file())
         if broken is None:
             continue
         if not refusal_of(broken):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -354,9 +355,61 @@ def test_limits_on_turning_are_judged_on_a_curve():
 def test_a_motion_may_not_overshoot_a_segment_and_creep_back(plan):
     """Beyond the end of the path nothing is proven; a return within the tolerance of speed does not undo it."""
     phases = plan["trajectory"]["phases"]
-    phases["durations"] = [0.5, 0.5, 4.25, 0.5, 0.5, 1e-3, 1e5, 1e-3]
-    phases["jerks"] = [1.6, -1.6, 0.0, -1.6, 1.6, -1e-3, 0.0, 1e-3]
-    assert refused(plan)
+    phases["durations"] = [0.5, 0.5, 4.00025, 0.5, 0.5, 1e-3, 1e-3, 200.0, 1e-3, 1e-3]  # 0.1 mm too far
+    phases["jerks"] = [1.6, -1.6, 0.0, -1.6, 1.6, -0.5, 0.5, 0.0, 0.5, -0.5]
+    plan["proof"]["robot"]["limits"].pop("max_yaw_rate")
+    assert "place: beyond its limit" in refused(plan)
+
+
+def test_small_jumps_add_up():
+    pieces = [spline([0.0, 0.5], [0.0, 0.0]) for _ in range(4)]
+    document = written([spline([0.0, 2.0], [0.0, 0.0])])
+    curves = curves_of(Way(tuple(pieces)))
+    for number, curve in enumerate(curves):
+        curve["start"] = [0.5 * number, 4e-7 * (number % 2), 0.0]
+    document["path"]["segments"] = curves
+    planes = document["proof"]["cells"][0]["planes"][0]
+    document["proof"]["cells"] = [{"borders": [0.0, 0.5], "planes": [[*planes, [1, 0, 0.5 * math.pi]]]}] * 4
+    assert "joint: the path jumps" in refused(document)
+    curves[1]["start"][1] = 0.0
+    assert judge(json.dumps(document)).startswith("accepted")
+
+
+def test_a_last_gear_of_a_tenth_of_a_micrometre_is_none():
+    """A robot that must enter forwards cannot back in and then creep forwards."""
+    document = written([spline([0.0, 2.0], [0.0, 0.0])], direction="forward")
+    document["path"]["segments"][0]["direction"] = -1
+    end = {"start": [-2.0, 0.0, 0.0], "knots": [0.0, 1e-7], "curvature": [0.0, 0.0], "direction": 1}
+    document["path"]["segments"].append(end)
+    document["proof"].update(obstacles=[], region=[-9.0, -9.0, 9.0, 9.0])
+    document["proof"]["dock"]["pose"] = [-2.0, 0.0, 0.0]
+    cells = [{**part, "planes": [[] for _ in part["planes"]]} for part in document["proof"]["cells"]]
+    document["proof"]["cells"] = [*cells, {"borders": [0.0, 1e-7], "planes": [[]]}]
+    assert "direction: the gear at the dock" in refused(document)
+    document["proof"]["dock"]["direction"] = "backward"
+    assert judge(json.dumps(document)).startswith("accepted")
+
+
+@pytest.mark.parametrize(("gap", "accepted"), [(0.05 - 0.9e-6, True), (0.05 - 1.1e-6, False)])
+def test_the_tolerance_is_a_micrometre(plan, gap, accepted):
+    """Along a wall the bound is exact, so the verdict changes within a tenth of a micrometre."""
+    plan["proof"]["obstacles"][0][0][1] = plan["proof"]["obstacles"][0][1][1] = 0.3 + gap
+    if accepted:
+        assert judge(json.dumps(plan)).startswith("accepted")
+    else:
+        assert "obstacle 0" in refused(plan)
+
+
+def test_a_start_clearance_is_never_taken_too_small():
+    """The requirement near a start grows from its clearance, so the judge uses an upper bound of it."""
+    corner = [[0.55, 0.35], [0.9, 0.5], [0.8, 0.9]]
+    for yaw in np.linspace(0.0, 3.0, 7).tolist():
+        document = written([spline([0.0, 0.02], [0.0, 0.0], yaw)], obstacles=[corner], clearance=ClearanceRule(0.0))
+        kept = judge_file._Clearance(document["proof"]).kept
+        outline = np.array(document["proof"]["robot"]["footprint"])
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        true = shapely.distance(shapely.Polygon(outline @ turn.T), shapely.Polygon(corner))
+        assert true <= kept <= true + 1e-12
 
 
 def test_a_robot_that_cannot_turn_and_limits_of_turns():
