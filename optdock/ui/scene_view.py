@@ -220,15 +220,15 @@ class SceneView:
         self._add("nearest", "MultiLine", area, "underlay", **hot)
         self._veil = BoxAnnotation(fill_color=ink("paper"), fill_alpha=_VEIL, level="underlay", visible=False)
         self.axes.add_layout(self._veil)
-        for name, colour in (("start", "start"), ("dock", "goal")):
-            edge: dict[str, Any] = {"line_color": ink(colour), "line_width": 2.0}
-            self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
-            self._add(f"{name} nose", "MultiLine", area, **edge)
         robot: dict[str, Any] = {"fill_color": ink("robot"), "fill_alpha": 0.6, "line_color": ink("ink")}
         cone: dict[str, Any] = {"fill_color": ink("muted"), "fill_alpha": 0.2, "line_color": ink("muted")}
         tube: dict[str, Any] = {"fill_alpha": 0.0, "line_color": ink("ink"), "line_dash": "dotted"}
         styles = zip(GHOSTS, (robot, cone, tube), strict=True)
         self._ghosts = [self._add(name, "Patch", line, **style) for name, style in styles]
+        for name, colour in (("start", "start"), ("dock", "goal")):
+            edge: dict[str, Any] = {"line_color": ink(colour), "line_width": 2.0}
+            self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
+            self._add(f"{name} nose", "MultiLine", area, **edge)
         disc: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
 
