@@ -248,6 +248,8 @@ def _key_removed(rng: Rng, document: Case) -> bool:
     optional = {"pieces", "approach_speed", "visible_distance"}
     if "trajectory" not in document:
         optional |= {"speed", "acceleration", "curvature", "approach_distance"}
+    if "turn" in document["path"]["segments"][0]:
+        optional.add("curvature")  # a turn in place has no curvature
     places = [(proof, key) for key in proof] + [(document, "proof"), (document, "path")]
     places += [(proof[part], key) for part in ("robot", "start", "dock", "clearance") for key in proof[part]]
     places = [(holder, key) for holder, key in places if key not in optional]
