@@ -309,9 +309,7 @@ class _Motion:
             while parts:  # divided until every limit is proven
                 state, width, jerk = parts.pop()
                 if broken := self._broken(i, state, jerk, width):
-                    _hold(
-                        width > 1e-9 < next(self.budget, 0), f"{broken}: beyond its limit near s = {state[0].lo:.3f} m"
-                    )
+                    _hold(width > 1e-9 < next(self.budget, 0), f"{broken}: beyond its limit at s = {state[0].lo:.3f} m")
                     parts += [(at, 0.5 * width, jerk) for at in (state, _after(state, jerk, 0.5 * width))]
         return math.fsum(t for t, _ in self.phases)
 
