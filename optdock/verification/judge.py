@@ -284,7 +284,7 @@ class _Motion:
         self.limits, self.segments, dock, start = proof["robot"]["limits"], segments, proof["dock"], proof["start"]
         self.begins = [*accumulate((one.length for one in segments), _Span.__add__, initial=_ZERO)]
         (s, v, a), self.phases = phases["start"], [*zip(phases["durations"], phases["jerks"], strict=True)]
-        self.states = [(_Span(s), _Span(v), _Span(a))]
+        self.states, self.budget = [(_Span(s), _Span(v), _Span(a))], iter(range(10_000, 0, -1))  # of divisions
         for duration, jerk in self.phases:
             _hold(duration >= 0.0, "coverage: a duration is negative")
             self.states.append(_after(self.states[-1], jerk, duration))
@@ -309,7 +309,7 @@ class _Motion:
             while parts:  # divided until every limit is proven
                 state, width, jerk = parts.pop()
                 if broken := self._broken(i, state, jerk, width):
-                    _hold(width > 1e-9, f"{broken}: beyond its limit, or unproven, near s = {state[0].lo:.4f} m")
+                    _hold(width > 1e-9 < next(self.budget, 0), f"{broken}: beyond its limit at s = {state[0].lo:.3f} m")
                     parts += [(at, 0.5 * width, jerk) for at in (state, _after(state, jerk, 0.5 * width))]
         return math.fsum(t for t, _ in self.phases)
 

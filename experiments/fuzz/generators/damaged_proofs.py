@@ -183,13 +183,14 @@ def _start_state_changed(rng: Rng, document: Case) -> bool:
 
 
 def _plane_turned(rng: Rng, document: Case) -> bool:
-    """Turn a direction by half a turn: it then points from the robot to the obstacle, and separates nothing."""
-    planes = [plane for part in document["proof"]["cells"] for cell in part["planes"] for plane in cell]
-    if not planes or document["proof"]["clearance"]["required"] < _SEEN:
+    """Turn all directions of an obstacle by half a turn: they then point to the obstacle, and separate nothing."""
+    proof = document["proof"]
+    if not proof["obstacles"] or proof["clearance"]["required"] < _SEEN:
         return False
-    plane = planes[int(rng.integers(len(planes)))]
-    plane[2] += math.pi
-    return True
+    index = int(rng.integers(len(proof["obstacles"])))
+    for plane in (plane for part in proof["cells"] for cell in part["planes"] for plane in cell):
+        plane[2] += math.pi if plane[0] == index else 0.0
+    return _boxes_meet(document, index)
 
 
 def _planes_removed(rng: Rng, document: Case) -> bool:
@@ -200,6 +201,12 @@ def _planes_removed(rng: Rng, document: Case) -> bool:
     index = int(rng.integers(len(proof["obstacles"])))
     for part in proof["cells"]:
         part["planes"] = [[plane for plane in cell if plane[0] != index] for cell in part["planes"]]
+    return _boxes_meet(document, index)
+
+
+def _boxes_meet(document: Case, index: int) -> bool:
+    """Whether the bounding box of an obstacle overlaps that of a piece of the robot, so that a direction is needed."""
+    proof = document["proof"]
     pieces = proof["robot"].get("pieces", [proof["robot"]["footprint"]])
     poses = _poses(document)
     boxes = np.concatenate([shapely.bounds(shapely.polygons(placed(np.array(piece), poses))) for piece in pieces])
@@ -248,6 +255,8 @@ def _key_removed(rng: Rng, document: Case) -> bool:
     optional = {"pieces", "approach_speed", "visible_distance"}
     if "trajectory" not in document:
         optional |= {"speed", "acceleration", "curvature", "approach_distance"}
+    if "turn" in document["path"]["segments"][0]:
+        optional.add("curvature")  # a turn in place has no curvature
     places = [(proof, key) for key in proof] + [(document, "proof"), (document, "path")]
     places += [(proof[part], key) for part in ("robot", "start", "dock", "clearance") for key in proof[part]]
     places = [(holder, key) for holder, key in places if key not in optional]
