@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.arrays import digest
+from optdock.geometry.arrays import FrozenArrays, digest, readonly
 from optdock.geometry.polygon import convex_pieces, simple_polygon
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ __all__ = ["EditedObstacle", "disc_of"]
 
 
 @dataclass(frozen=True, eq=False)
-class EditedObstacle:
+class EditedObstacle(FrozenArrays):
     """A simple polygon; scenes that follow each other share the obstacles that have not changed.
 
     Args:
@@ -58,8 +58,7 @@ class EditedObstacle:
     def longer_edges(self) -> FloatArray:
         """Length of the longer of the two edges at each vertex, Shape (n,) [m]."""
         edges = np.hypot(*(np.roll(self.vertices, -1, axis=0) - self.vertices).T)
-        longer: FloatArray = np.maximum(edges, np.roll(edges, 1))
-        return longer
+        return readonly(np.maximum(edges, np.roll(edges, 1)))
 
     @functools.cached_property
     def shape(self) -> BaseGeometry:

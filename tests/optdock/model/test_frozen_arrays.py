@@ -8,6 +8,7 @@ import inspect
 import pickle
 import pkgutil
 from enum import Enum
+from pathlib import Path as FilePath
 from types import MappingProxyType, ModuleType
 
 import numpy as np
@@ -36,7 +37,8 @@ from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, pl
 from optdock.samples.tube import Tube
 from optdock.simulation.closed_loop import Run
 from optdock.simulation.world import Record
-from optdock.ui import drawn_plan
+from optdock.ui import drawn_plan, scene_files, scene_maps
+from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
@@ -108,10 +110,11 @@ def frozen_values():
         (Run(times, three, three, two, two, three, POSE, docked=True), [times, three, two]),
         (Record(times, three, three, two, three, two, three, heard, (), times), [times, three, two, heard]),
         (basis_for(((8, 2),)), []),
+        (EditedObstacle(points), [points]),
     ]
 
 
-VALUES = range(25)
+VALUES = range(26)
 
 
 all_frozen_values = functools.cache(frozen_values)
@@ -277,6 +280,10 @@ def test_copies_of_a_writable_grid_are_writable():
     assert not grid.data.any()
 
 
+def built_in_map():
+    return scene_maps.linked_map("optdock:hall_map.yaml", ".")[0]
+
+
 # What is computed once for everybody: two proofs would share it with whoever asked for it in between.
 SHARED = {
     "mapped_obstacles": lambda: mapped_obstacles(problem().costmap),
@@ -287,6 +294,8 @@ SHARED = {
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
     "_region": lambda: drawn_plan._region(shut_in()),
     "body_of": lambda: collision_scene.body_of(problem().robot.footprint),
+    "_read": lambda: built_in_map(),
+    "_placed_on": lambda: scene_files._placed_on(FilePath("hall.yaml"), built_in_map()).problem,
 }
 HOLD_NO_ARRAYS = {
     "_warm_once",
@@ -298,6 +307,7 @@ HOLD_NO_ARRAYS = {
     "_environment",
     "_prepared",
     "_library",
+    "map_digest",
 }
 
 
