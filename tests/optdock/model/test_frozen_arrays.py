@@ -294,7 +294,7 @@ SHARED = {
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
     "_region": lambda: drawn_plan._region(shut_in()),
     "body_of": lambda: collision_scene.body_of(problem().robot.footprint),
-    "_read": lambda: built_in_map(),
+    "_read": built_in_map,
     "_placed_on": lambda: scene_files._placed_on(FilePath("hall.yaml"), built_in_map()).problem,
 }
 HOLD_NO_ARRAYS = {
