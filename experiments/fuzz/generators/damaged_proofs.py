@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["DAMAGES", "HOSTILE", "damaged"]
 
 Rng: TypeAlias = np.random.Generator
+_MOST_TURN = 1e4  # [rad] of a clothoid, which the oracle divides into small turns
 _SEEN = 1e-4  # [m], [m^2]: what an evaluation must find, far above all tolerances
 
 
@@ -145,8 +146,11 @@ def _curvature_changed(rng: Rng, document: Case) -> bool:
     curves = [curve for curve in document["path"]["segments"] if "knots" in curve]
     if not curves:
         return False
-    values = curves[int(rng.integers(len(curves)))][str(rng.choice(["curvature", "knots"]))]
+    curve = curves[int(rng.integers(len(curves)))]
+    values = curve[str(rng.choice(["curvature", "knots"]))]
     values[int(rng.integers(len(values)))] += float(rng.normal(0.0, 0.1))
+    if np.abs(np.diff(curve["knots"])).max() * np.abs(curve["curvature"]).max() > _MOST_TURN:
+        return False
     try:
         return _misses_the_dock(document)
     except (ValueError, ZeroDivisionError, IndexError):
