@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["PageSession", "make_page"]
 
 _STALE = 150  # [ms] until an answer to another scene is faded
-# A message lies at the bottom of the window, whatever part of the page is visible, and moves nothing.
+# Messages are fixed to the bottom of the window, so that they are visible everywhere and do not shift the page.
 _MESSAGE = {"position": "fixed", "left": "1rem", "bottom": "1rem", "z-index": "9", "max-width": "44rem"}
 _GRADES = """
 :host {{ pointer-events: none; }}

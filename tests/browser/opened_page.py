@@ -34,7 +34,7 @@ _RECORD = """() => {
     const one = {
       scene: status.dataset.scene, shown: status.dataset.shown, outcome: status.classList[0], robot, dock,
       obstacles: shapes(of("obstacles")), first: path[0] ?? null, last: path[path.length - 1] ?? null,
-      swept: shapes(of("swept")), places: shapes(of("places")),
+      swept: shapes(of("swept")),
     };
     requestAnimationFrame(() => recorded.paints.push({...one, at: performance.now()}));
     return done;
