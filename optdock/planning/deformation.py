@@ -154,16 +154,16 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
         return None
     program = _Program(gears, limits, speed, steers=steers)
     for _ in range(_STEPS):
-        segments = _driven(gears, start)
-        if segments is None:
+        driven = _driven(gears, start)
+        if driven is None:
             return None
-        end = segments[-1].poses_at(segments[-1].length)[0]
+        segments, end = driven
         gap = np.array([goal.x - end[0], goal.y - end[1], normalize_angle(goal.yaw - float(end[2]))])
         contacts = [_contact(push, segments) for push in pushes]
         short = max((contact.short for contact in contacts), default=0.0)
         if float(np.abs(gap).max()) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
             return Path(segments, path.frame)
-        change = program.least_change(gears, segments, gap, list(zip(pushes, contacts, strict=True)))
+        change = program.least_change(gears, driven, gap, list(zip(pushes, contacts, strict=True)))
         if change is None:
             return None
         gears = [gear.changed(part) for gear, part in zip(gears, change, strict=True)]
@@ -200,9 +200,13 @@ def _refined(knots: FloatArray, length: float) -> FloatArray:
     return np.append(np.concatenate(pieces), length)
 
 
-def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[Segment, ...] | None:
-    """Return the exact curves that begin at a pose; None if a turn vanishes or a curve cannot be evaluated."""
+def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[tuple[Segment, ...], FloatArray] | None:
+    """Return the exact curves that begin at a pose, and their last pose, Shape (3,).
+
+    Returns None if a turn vanishes or a curve cannot be evaluated.
+    """
     segments: list[Segment] = []
+    end = start.as_array()
     for gear in gears:
         if gear.sign == 0 and abs(gear.turn) < _LEAST_TURN:
             return None
@@ -210,8 +214,9 @@ def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[Segment, ...] | None
             segments.append(gear.segment(start))
         except InvalidValue:
             return None
-        start = Pose2.from_sequence(segments[-1].poses_at(segments[-1].length)[0])
-    return tuple(segments)
+        end = segments[-1].poses_at(segments[-1].length)[0]
+        start = Pose2.from_sequence(end)
+    return tuple(segments), end
 
 
 def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
@@ -295,12 +300,12 @@ class _Program:
     def least_change(
         self,
         gears: list[_GearPiece],
-        segments: tuple[Segment, ...],
+        driven: tuple[tuple[Segment, ...], FloatArray],
         gap: FloatArray,
         pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
         """Return the changes of least cost that close the gap subject to pushes and bounds, one per gear, or None."""
-        end = segments[-1].poses_at(segments[-1].length)[0]
+        segments, end = driven
         curvature, rates, rate_rows = self._bounded(gears)
         if self.program is None:
             self.program = DenseProgram(self.size, 3 + rates.size + len(pushes))
@@ -357,14 +362,14 @@ class _Program:
                 continue
             steps, last_s = np.diff(gear.knots), share * segment.length
             s = (gear.knots[:-1, None] + steps[:, None] * _NODES).ravel()
-            poses = segment.poses_at(s)
+            poses = segment.poses_at(np.append(s, [0.0, min(gear.knots[-1], last_s)]))
+            poses, (first, last) = poses[:-2], poses[-2:]
             turned = np.stack((poses[:, 1] - end[1], end[0] - poses[:, 0], np.ones(s.size)))
             weights = np.repeat(steps, _NODES.size) * np.tile(_WEIGHTS, steps.size) * (s <= last_s)
             weighted = (turned * weights).reshape(3, steps.size, _NODES.size)
             bends = np.zeros((3, gear.curvature.size))
             bends[:, :-1] += weighted @ (1.0 - _NODES)
             bends[:, 1:] += weighted @ _NODES
-            first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
             # Derivative by the logarithm of the length: the turns and the travelled distance grow in proportion.
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))

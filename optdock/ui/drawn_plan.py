@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from optdock.reports.html.page import Table, Text
+    from optdock.reports.shown_motion import ClearanceCurve
 
 __all__ = ["DrawnPlan", "MarkedPlace", "Method", "PlanOutcome", "drawn_plan"]
 
@@ -81,7 +82,7 @@ class DrawnPlan:
             impossibility, checked for the new scene.
         seconds: Time of the call [s].
         headline: The result in one line.
-        texts: Certificate or refusal in words.
+        texts: Certificate or refusal in words; empty in an answer that is only a picture, as `tables`.
         tables: Values of the certificate, times, and tried guesses.
         error: Name of the error; empty if certified.
         code: Error code of Nav2; 0 without one.
@@ -96,9 +97,10 @@ class DrawnPlan:
         places: Places to mark.
         region: Closed region of a proof of impossibility, polygons with their outline and holes, Shape (n, 2) [m] each.
         region_end: End around which the region lies, `start` or `goal`; empty without a region.
-        motion: Quantities of the motion with their bounds, or of the path if there is no motion; None without a path.
+        motion: Quantities of the motion with their bounds, or of the path if there is no motion; None without a path,
+            and in an answer that is only a picture.
         cones: Cones of the camera where the marker must be in view, Shape (n, 2) [m] each.
-        view: Visible rectangle.
+        view: Visible rectangle; None in an answer that is only a picture.
         file: Content of the plan file without the samples of the motion and the proof, which `plan_file` adds.
     """
 
@@ -124,7 +126,7 @@ class DrawnPlan:
     region_end: str
     motion: ShownMotion | None
     cones: tuple[FloatArray, ...]
-    view: View
+    view: View | None
     file: PlanFile
 
     @property
@@ -152,6 +154,8 @@ def drawn_plan(
     result: DockPlan | OptdockError,
     method: Method = "planned",
     seconds: float = 0.0,
+    *,
+    picture_only: bool = False,
 ) -> DrawnPlan:
     """Return the content of the page for the result of a call.
 
@@ -161,6 +165,7 @@ def drawn_plan(
         result: The plan, or the error that ended the call; the proof of a `NoMotionExists` must have been checked.
         method: Origin of the result.
         seconds: Time of the call [s].
+        picture_only: Whether words, tables, motion and visible rectangle are left out, as while the hand drags.
     """
     outcome = _outcome(result)
     if isinstance(result, DockPlan):
@@ -172,10 +177,8 @@ def drawn_plan(
     raw = None if file.raw_path is path else file.raw_path
     samples = None if path is None else path.sample(_SPACING)
     swept = np.zeros((0, 3)) if path is None else _spaced(path)
-    margins = np.zeros(0)
-    if path is not None:
-        margins = clearance_curve(swept, problem, problem.path_clearance, start_relief(file)).margins
-    places = tuple(_places(problem, result, file, (path, swept, margins)))
+    curve = None if path is None else clearance_curve(swept, problem, problem.path_clearance, start_relief(file))
+    places = tuple(_places(problem, result, file, (path, swept, curve)))
     guess = None if raw is None else raw.sample(_SPACING)
     shown = [each.poses for each in (samples, guess) if each is not None]
     proof = file.impossibility if isinstance(file.impossibility, ImpossibilityProof) else None
@@ -186,8 +189,8 @@ def drawn_plan(
         method,
         seconds,
         plan_summary(file),
-        tuple(plan_texts(file, problem, verdict)),
-        tuple(table for table in plan_tables(file, verdict) if table.rows),
+        () if picture_only else tuple(plan_texts(file, problem, verdict)),
+        () if picture_only else tuple(table for table in plan_tables(file, verdict) if table.rows),
         error,
         0 if file.error is None else file.error.code,
         problem.robot.footprint.vertices,
@@ -196,13 +199,13 @@ def drawn_plan(
         np.zeros(0, dtype=np.int64) if samples is None else samples.direction,
         np.zeros((0, 3)) if path is None or not path.cusps else path.poses_at(np.array(path.cusps)),
         swept,
-        margins,
+        np.zeros(0) if curve is None else curve.margins,
         places,
         () if proof is None else _region(proof),
         "" if proof is None else proof.end,
-        None if path is None else _few(shown_motion(file, path, problem)),
+        None if path is None or picture_only else _few(shown_motion(file, path, problem)),
         tuple(_cones(problem, path, result, places)),
-        view_of(problem, [*shown, *(place.pose[None] for place in places)]),
+        None if picture_only else view_of(problem, [*shown, *(place.pose[None] for place in places)]),
         replace(file, trajectory=None),
     )
 
@@ -247,15 +250,17 @@ def _places(
     problem: DockingProblem,
     result: DockPlan | OptdockError,
     file: PlanFile,
-    drawn: tuple[Path | None, FloatArray, FloatArray],
+    drawn: tuple[Path | None, FloatArray, ClearanceCurve | None],
 ) -> Iterator[MarkedPlace]:
     """Generate the poses of least clearance and least margin, or the refused or blocked poses."""
-    path, swept, margins = drawn
+    path, swept, curve = drawn
     proof = file.impossibility
     if isinstance(result, DockPlan):
+        assert curve is not None
         if math.isfinite(result.certificate.min_clearance):
             yield _place("least clearance", problem, result.path.poses_at(result.certificate.at_s)[0])
-            yield _place("tightest place", problem, swept[int(np.argmin(margins))])
+            k = int(np.argmin(curve.margins))
+            yield _marked("tightest place", problem, swept[k], (float(curve.clearances[k]), int(curve.rows[k])))
     elif isinstance(proof, BlockedStraight):
         for blocked in proof.poses:
             yield _place("blocked", problem, np.array([blocked.x, blocked.y, blocked.yaw]))
@@ -267,15 +272,18 @@ def _places(
 
 
 def _place(name: str, problem: DockingProblem, pose: FloatArray) -> MarkedPlace:
-    """Return a place with the nearest points of robot and obstacle."""
-    obstacles, footprint = problem.all_obstacles, problem.robot.footprint
-    clearances, rows = pose_clearances(pose[None], footprint, obstacles, within=_FAR)
-    row = int(rows[0])
+    clearances, rows = pose_clearances(pose[None], problem.robot.footprint, problem.all_obstacles, within=_FAR)
+    return _marked(name, problem, pose, (float(clearances[0]), int(rows[0])))
+
+
+def _marked(name: str, problem: DockingProblem, pose: FloatArray, nearest: tuple[float, int]) -> MarkedPlace:
+    """Return a place, given its clearance [m] and the row of the nearest obstacle, with the nearest points."""
+    obstacles, footprint, (clearance, row) = problem.all_obstacles, problem.robot.footprint, nearest
     if row < 0:
         return MarkedPlace(name, pose, math.inf, "", np.zeros((0, 2)))
     robot, obstacle = shapely.Polygon(transform_points(pose[None], footprint.vertices)[0]), obstacles.vertices[row]
-    nearest = shapely.get_coordinates(shapely.shortest_line(robot, shapely.Polygon(obstacle)))
-    return MarkedPlace(name, pose, float(clearances[0]), in_words(obstacles.name_of(row)), nearest)
+    points = shapely.get_coordinates(shapely.shortest_line(robot, shapely.Polygon(obstacle)))
+    return MarkedPlace(name, pose, clearance, in_words(obstacles.name_of(row)), points)
 
 
 def _cones(

@@ -48,6 +48,7 @@ class PlanRequest(NamedTuple):
         fingerprint: Fingerprint of the scene on the page, returned with the answer.
         scenario: The scenario.
         in_hand: Whether the scene is being dragged.
+        picture_only: Whether words, tables and curves of the answer are left out.
         drive: Disturbances of a simulated drive and the seed of its noise; None: the scenario is planned.
     """
 
@@ -55,6 +56,7 @@ class PlanRequest(NamedTuple):
     fingerprint: str
     scenario: Scenario
     in_hand: bool = False
+    picture_only: bool = False
     drive: tuple[WorldDeviations, int] | None = None
 
 
@@ -82,8 +84,9 @@ class HandPlanning:
         method, result = self.planned(request.scenario, is_cancelled, in_hand=request.in_hand)
         self._plan = result if isinstance(result, DockPlan) else None
         self._planned_for = request.fingerprint
-        asked = request.number, request.fingerprint
-        return drawn_plan(asked, request.scenario.problem, result, method, time.monotonic() - began)
+        asked, seconds = (request.number, request.fingerprint), time.monotonic() - began
+        problem, only = request.scenario.problem, request.picture_only
+        return drawn_plan(asked, problem, result, method, seconds, picture_only=only)
 
     def planned(
         self, scenario: Scenario, is_cancelled: Callable[[], bool], *, in_hand: bool

@@ -203,7 +203,8 @@ class PageSession:
     def _ask(self, *, in_hand: bool) -> None:
         scene = self.history.scene
         self._number += 1
-        self.process.ask(scene.scenario, self._number, scene.fingerprint, in_hand=in_hand)
+        only = in_hand and self.pointer.is_dragging
+        self.process.ask(scene.scenario, self._number, scene.fingerprint, in_hand=in_hand, picture_only=only)
         self._doing = "moving" if in_hand else "planning"
         self._show_status()
         number = self._number
@@ -255,7 +256,7 @@ class PageSession:
         self.shown = drawn
         self._finish(drawn.number)
         self.view.show_answer(drawn)
-        if not self.pointer.is_dragging:
+        if drawn.view is not None and not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
             self.curves.show(drawn.motion, self._moved(drawn))
             self.view.show_ghost(visible=True)

@@ -101,7 +101,15 @@ class RequestProcess:
         """
         return self._is_warm.wait(timeout)
 
-    def ask(self, scenario: Scenario, number: int, fingerprint: str, *, in_hand: bool = False) -> None:
+    def ask(
+        self,
+        scenario: Scenario,
+        number: int,
+        fingerprint: str,
+        *,
+        in_hand: bool = False,
+        picture_only: bool = False,
+    ) -> None:
         """Request a plan, instead of the request that waits.
 
         Args:
@@ -109,11 +117,12 @@ class RequestProcess:
             number: Number of the request, greater than all earlier ones.
             fingerprint: Text that the answer carries.
             in_hand: Whether the scene is being dragged; the last plan may then be deformed.
+            picture_only: Whether words, tables and curves of the answer are left out.
 
         Raises:
             InvalidValue: If the number is not greater than all earlier ones, or the process is closed.
         """
-        self._put(PlanRequest(number, fingerprint, scenario, in_hand))
+        self._put(PlanRequest(number, fingerprint, scenario, in_hand, picture_only))
 
     def ask_drive(
         self,

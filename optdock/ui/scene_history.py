@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Protocol
 
-from optdock.errors import OptdockError
+from optdock.errors import InvalidValue, OptdockError
+from optdock.ui.scene_grips import part_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,7 +93,10 @@ class SceneHistory:
 
     def select(self, name: str) -> None:
         """Select a part, or the start if the scene has no such part."""
-        self.selected = name if any(one.name == name for one in self.scene.handles()) else "start"
+        try:
+            self.selected = part_named(name, self.scene.obstacles).name
+        except InvalidValue:
+            self.selected = "start"
 
     def nudge(self, dx: float, dy: float) -> None:
         """Move the selected part [m]."""

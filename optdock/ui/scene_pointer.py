@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["ScenePointer"]
 
 _REACH = 14.0  # [px]: tolerance of a pointer
-_DELAY = 1  # [ms] from an event to the change of the scene; later events replace earlier ones
 
 
 class ScenePointer:
@@ -74,7 +73,7 @@ class ScenePointer:
     def _drag(self, event: Pan) -> None:
         is_first, self._place = self._place is None, (event.x, event.y)
         if is_first:
-            self._document.add_timeout_callback(self._follow, _DELAY)
+            self._document.add_next_tick_callback(self._follow)
 
     def _follow(self) -> None:
         """Move the held part to the newest place of the pointer."""

@@ -71,6 +71,13 @@ def test_margins_are_the_distances_of_shapely_beyond_the_required_clearance(plan
     assert math.dist(*tightest.nearest) == pytest.approx(tightest.clearance, abs=1e-9)
 
 
+def test_a_picture_without_words_is_the_same_picture(planned):
+    whole, picture = (drawn_plan((1, ""), planned.problem, planned, picture_only=only) for only in (False, True))
+    left_out = {"texts": (), "tables": (), "motion": None, "view": None, "file": picture.file}
+    expected = dataclasses.replace(whole, **left_out)
+    assert pickle.dumps(dataclasses.astuple(picture)) == pickle.dumps(dataclasses.astuple(expected))
+
+
 def test_the_text_is_the_plan_file_and_certifies(planned, tmp_path):
     drawn = pickle.loads(pickle.dumps(drawn_plan((1, ""), planned.problem, planned)))
     planned.save(tmp_path / "plan.json")

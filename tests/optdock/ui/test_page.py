@@ -46,8 +46,9 @@ class Requests:
     def __init__(self, on_answer):
         self.asked, self.ready, self.cancelled, self.on_answer = [], [], 0, on_answer
 
-    def ask(self, scenario, number, fingerprint, *, in_hand=False):
-        self.asked.append(SimpleNamespace(scenario=scenario, number=number, fingerprint=fingerprint, in_hand=in_hand))
+    def ask(self, scenario, number, fingerprint, **flags):
+        flags = {"in_hand": False, "picture_only": False, **flags}
+        self.asked.append(SimpleNamespace(scenario=scenario, number=number, fingerprint=fingerprint, **flags))
 
     def ask_drive(self, scenario, number, fingerprint):
         self.ask(scenario, number, fingerprint)
@@ -69,7 +70,8 @@ class Requests:
             result = one.scenario.plan(2.0)
         except refusal as error:
             result = error
-        self.ready.append(drawn_plan((one.number, one.fingerprint), one.scenario.problem, result))
+        asked, only = (one.number, one.fingerprint), one.picture_only
+        self.ready.append(drawn_plan(asked, one.scenario.problem, result, picture_only=only))
         page._show_answers()
 
 
@@ -112,6 +114,7 @@ def test_a_drag_moves_the_robot_and_asks_in_the_hand_until_the_release(worked):
     assert page.history.scene.problem.start.x == pytest.approx(start.x + 0.2)
     assert page.history.scene.problem.start.y == pytest.approx(start.y + 0.1)
     assert [one.in_hand for one in page.process.asked] == [False, True, True, False]
+    assert [one.picture_only for one in page.process.asked] == [False, True, True, False]
     ghost = next(one for one in page.view.axes.renderers if one.name == "ghost")
     assert not ghost.visible
     page.process.answer(page)
@@ -264,6 +267,7 @@ def test_a_slider_is_one_step_of_undo_and_is_planned_at_its_end(worked):
         page._set_field("robot.limits.max_speed", text, True)
     page._set_field("robot.limits.max_speed", "0.4", False)
     assert [one.in_hand for one in page.process.asked] == [False, True, True, True, False]
+    assert not any(one.picture_only for one in page.process.asked)
     assert page.toolbar.link.text == to_link(page.history.scene, Path())
     page.history.undo()
     assert page.history.scene is before
