@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,6 @@ from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-    from scipy.interpolate import BSpline
 
     from optdock.geometry.arrays import FloatArray
 
@@ -84,24 +82,29 @@ class Nurbs(FrozenArrays):
         yaw[~np.any(heading, axis=1)] = np.nan
         return yaw
 
-    @cached_property
-    def _spline(self) -> BSpline:
-        from scipy.interpolate import BSpline
-
-        points = np.column_stack((self.control_points, np.ones(len(self.control_points))))
-        return BSpline(self.knots, points, self.degree, extrapolate=False)
-
     def _derivatives(self, u: ArrayLike, order: int) -> tuple[FloatArray, ...]:
-        """Return C and its derivatives up to `order` by the quotient rule ([Piegl1997] eq. 4.8).
-
-        The weight function equals 1 except for rounding errors of the basis functions, which the division removes.
-        """
+        """Return C and its derivatives up to `order`, which are B-splines as well ([Piegl1997] eq. 3.3)."""
         at = np.clip(np.atleast_1d(np.asarray(u, dtype=np.float64)), 0.0, 1.0)
-        a: list[FloatArray] = [self._spline(at, nu) for nu in range(order + 1)]
-        w = a[0][:, 2:]
-        found = [a[0][:, :2] / w]
-        if order >= 1:
-            found.append((a[1][:, :2] - a[1][:, 2:] * found[0]) / w)
-        if order >= 2:
-            found.append((a[2][:, :2] - 2.0 * a[1][:, 2:] * found[1] - a[2][:, 2:] * found[0]) / w)
+        knots, points, degree = self.knots, self.control_points, self.degree
+        found = [_spline_at(at, knots, points, degree)]
+        for _ in range(order):
+            if degree == 0:  # the derivative of a constant
+                found.append(np.zeros_like(found[0]))
+                continue
+            span = knots[degree + 1 : -1] - knots[1 : -degree - 1]
+            points, knots, degree = degree * np.diff(points, axis=0) / span[:, None], knots[1:-1], degree - 1
+            found.append(_spline_at(at, knots, points, degree))
         return tuple(found)
+
+
+def _spline_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
+    """Return the points of a B-spline at `u` by repeated linear interpolation ([DeBoor1978] ch. X, algorithm 8)."""
+    span = np.clip(np.searchsorted(knots, u, side="right") - 1, degree, len(points) - 1)[:, None]
+    found = points[span + np.arange(-degree, 1)]
+    for r in range(1, degree + 1):
+        j = np.arange(r - degree, 1)
+        left, right = knots[span + j], knots[span + j + degree + 1 - r]
+        share = ((u[:, None] - left) / (right - left))[:, :, None]
+        found = (1.0 - share) * found[:, :-1] + share * found[:, 1:]
+    curve: FloatArray = found[:, 0]
+    return curve

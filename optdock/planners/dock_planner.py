@@ -41,13 +41,11 @@ class DockPlanner(GlobalPlanner):
     parameters: DockPlannerParameters
 
     def on_configure(self) -> None:
-        """Check the context and load SciPy's splines, which takes longer than a hundred plans.
+        """Check the context.
 
         Raises:
             InvalidValue: If the context contains no robot footprint.
         """
-        import scipy.interpolate  # noqa: F401 - loaded for its side effect on the first plan's duration
-
         if self.context.footprint is None:
             raise InvalidValue(
                 f"{self.context.name}: needs the robot's footprint; configure it with "

@@ -50,6 +50,18 @@ def test_geomdl_agrees(curve):
     np.testing.assert_allclose(curve.points_at(u), other.evaluate_list(u), atol=1e-10)
 
 
+@settings(max_examples=50)
+@given(curves())
+def test_curve_and_derivatives_are_those_of_scipy(curve):
+    from scipy.interpolate import BSpline
+
+    u = np.concatenate((GRID, curve.knots))
+    other = BSpline(curve.knots, curve.control_points, curve.degree)
+    for order, found in enumerate(curve._derivatives(u, 3)):
+        expected = other(u, order) if order <= curve.degree else np.zeros_like(found)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-11)
+
+
 @settings(max_examples=40)
 @given(curves(min_leg=0.1))
 def test_tangents_and_speed_bound_agree_with_finite_differences(curve):
