@@ -363,11 +363,11 @@ def _turning_rows(value: FloatArray, turn: FloatArray, rate: FloatArray, most: F
 def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
     """Return the bands of Q, c' Q c / 2 = sum of (weight * step of x'' between cells)^2; weight Shape (M - 1,).
 
-    Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
+    Shape (4, M + 2): entry (3 - d, j) is Q[j - d, j].
     """
     left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
     row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
-    bands = np.zeros((4, weight.size + 3), order="F")
+    bands = np.zeros((4, weight.size + 3))
     for offset in range(4):
         for i in range(4 - offset):
             bands[3 - offset, i + offset : i + offset + weight.size] += 2.0 * row[i] * row[i + offset]
