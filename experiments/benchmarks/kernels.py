@@ -23,7 +23,7 @@ from optdock.model.path import Path
 from optdock.planners.manoeuvres import distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.timing import interior_point
-from optdock.verification import certify_path, conservative_advancement
+from optdock.verification import certify_path, conservative_advancement, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp.collision import clearance_along, linearization
 
@@ -45,6 +45,7 @@ _KERNELS = {
     "disc states": (free_space, "disc_states"),
     "tile of the field": (distance_field, "_tile_values"),
     "clearances of poses": (free_space, "_clearances"),
+    "crossings": (trajectory_rules, "crossings"),
     "interior point": (interior_point, "advanced"),
 }
 _MOST_CALLS = 40  # of every kernel, replayed

@@ -2,7 +2,8 @@
 
 Both must be equal to the last bit. Stretches are drawn with bodies and obstacles that touch or overlap, in tiny cells,
 at huge coordinates, and with NaN and infinite numbers; programs of the interior point method with cells of very
-different lengths, without a solution, and with NaN and infinite numbers.
+different lengths, without a solution, and with NaN and infinite numbers; and places that motions reach, also at rests
+and beyond the end.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.kernels import using_kernels
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import Path
 from optdock.timing.interior_point import Iterate, Program, advanced
 from optdock.timing.reference_program import jerk_step_bands, spline_of
 from optdock.verification import conservative_advancement
 from optdock.verification.conservative_advancement import Advances, prove_clearance
 from optdock.verification.proximity import bounded_footprint
+from optdock.verification.turning_rules import crossings
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
@@ -36,6 +39,7 @@ __all__ = [
     "DEGENERATE",
     "DEGENERATE_PROGRAMS",
     "draw",
+    "drawn_law",
     "drawn_program",
     "drawn_shapes",
     "drawn_stretches",
@@ -45,24 +49,28 @@ __all__ = [
 
 DEGENERATE = ("none", "touching", "tiny", "huge", "still", "nan", "inf")
 DEGENERATE_PROGRAMS = ("none", "lengths", "infeasible", "tiny", "nan", "inf")
-_PROOFS, _PROGRAMS = 0.2, 0.2  # shares of the cases
+_PROOFS, _CROSSINGS, _PROGRAMS = 0.2, 0.2, 0.2  # shares of the cases
 LANES: tuple[Lane, Lane] = ("twin", "native")
 _SETS = 10  # of stretches for every body and its obstacles
 _FAR = 1e7  # [m]
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """Draw a path problem, or the seed and the degeneracy of stretches or of a program."""
+    """Draw a path problem, or the seed and the degeneracy of stretches, of a program or of a time law."""
     share = rng.uniform()
     if share < _PROOFS:
         return {**path_problem(rng), "kind": "kernels", "degenerate": None}
-    if share < _PROOFS + _PROGRAMS:
+    if share < _PROOFS + _CROSSINGS:
+        return {"kind": "kernels", "law": int(rng.integers(2**31))}
+    if share < _PROOFS + _CROSSINGS + _PROGRAMS:
         return {"kind": "kernels", "program": str(rng.choice(DEGENERATE_PROGRAMS)), "seed": int(rng.integers(2**31))}
     return {"kind": "kernels", "degenerate": str(rng.choice(DEGENERATE)), "seed": int(rng.integers(2**31))}
 
 
 def judge(case: Case) -> Verdict:
     """Compare both lanes."""
+    if "law" in case:
+        return _crossings(np.random.default_rng(case["law"]))
     if "program" in case:
         return _programs(case)
     if case["degenerate"] is None:
@@ -90,6 +98,33 @@ def _proofs(case: Case) -> Verdict:
         with using_kernels(lane):
             found.append(prove_clearance(Path(path.segments), problem))
     return Verdict("equal proofs") if is_equal(*found) else Verdict("kernel differs", "proof")
+
+
+def _crossings(rng: np.random.Generator) -> Verdict:
+    for _ in range(_SETS):
+        law, places = drawn_law(rng)
+        found = []
+        for lane in LANES:
+            with using_kernels(lane), np.errstate(all="ignore"):
+                found.append(crossings(law, places))
+        if not is_equal(*found):
+            return Verdict("kernel differs", "crossings")
+    return Verdict("equal crossings")
+
+
+def drawn_law(rng: np.random.Generator) -> tuple[TimeLaw, FloatArray]:
+    """Draw a time law, possibly with rests, phases backwards and very short phases, and places, some of them NaN."""
+    n = int(rng.integers(1, 30))
+    durations = np.exp(rng.uniform(-20.0 if rng.uniform() < 0.3 else -3.0, 1.0, n))
+    jerks = rng.choice([0.0, 1.0, -1.0], n) * rng.exponential(1.0, n)
+    at_rest = rng.uniform() < 0.3
+    law = TimeLaw(
+        durations, jerks if not at_rest else 0.0 * jerks, 0.0, 0.0 if at_rest else float(rng.exponential(1.0))
+    )
+    borders = law.states[:, 0]
+    places = np.concatenate((borders, rng.uniform(-1.0, 2.0, 20) * max(1e-3, float(np.abs(borders).max())), [np.nan]))
+    places[rng.integers(0, n + 1)] += 1e-15
+    return law, rng.permutation(places)
 
 
 def _programs(case: Case) -> Verdict:
