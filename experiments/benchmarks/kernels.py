@@ -22,7 +22,8 @@ from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
 from optdock.planners.manoeuvres import distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
-from optdock.verification import certify_path, conservative_advancement
+from optdock.timing import interior_point
+from optdock.verification import certify_path, conservative_advancement, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp.collision import clearance_along, linearization
 
@@ -44,6 +45,8 @@ _KERNELS = {
     "disc states": (free_space, "disc_states"),
     "tile of the field": (distance_field, "_tile_values"),
     "clearances of poses": (free_space, "_clearances"),
+    "crossings": (trajectory_rules, "crossings"),
+    "interior point": (interior_point, "advanced"),
 }
 _MOST_CALLS = 40  # of every kernel, replayed
 _LANES: tuple[Lane, Lane] = ("twin", "native")

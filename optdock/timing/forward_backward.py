@@ -33,11 +33,11 @@ def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedP
     limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
     for limit, most in zip(limits.turning, bounds.turning, strict=True):
         cell = np.minimum(cell, limit.most_squared(most, np.maximum(limits.steepest, 1e-9)))
-    x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
+    x = np.minimum(np.concatenate((cell, [0.0])), np.concatenate(([start.v * start.v], cell)))
     rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
     x = np.minimum.accumulate(x - rise) + rise
     x = (np.minimum.accumulate((x + fall)[::-1]))[::-1] - fall
     x = np.maximum(x, 0.0)
     v = np.sqrt(x)
-    gain = 2.0 * np.diff(limits.s) / np.maximum(v[:-1] + v[1:], _SLOWEST)
-    return SpeedProfile(x, np.concatenate(([0.0], np.cumsum(gain))))
+    gain = 2.0 * (limits.s[1:] - limits.s[:-1]) / np.maximum(v[:-1] + v[1:], _SLOWEST)
+    return SpeedProfile(x, np.concatenate(([0.0], gain.cumsum())))

@@ -7,28 +7,33 @@ where f is sqrt(c) divided by a speed in the cell and is kept constant after som
 product of a linear term and the speed, such as the jerk |x''| v / 2.
 
 Every row contains three neighbouring coefficients, so Newton's normal matrix is pentadiagonal. Q, the penalty on jerk
-steps, adds one band. Each iteration is one call of LAPACK's `dpbsv`. The right side of the rows B is convex in c; its
-linearization, which omits the curvature, is an inner approximation as in the convex-concave procedure [Lipp2016]. The
-method of [Wright1997] is used with slack variables S, where S + G = 0 and S Z = mu, and with separate primal and dual
-steps.
+steps, adds one band. The right side of the rows B is convex in c; its linearization, which omits the curvature, is an
+inner approximation as in the convex-concave procedure [Lipp2016]. The method of [Wright1997] is used with slack
+variables S, where S + G = 0 and S Z = mu, and with separate primal and dual steps.
+
+The kernel evaluates all sums in the order of its twin, so sums over rows or cells are sums in index order here:
+`np.dot`, `np.einsum` and LAPACK use other orders, which depend on the machine.
 """
 
 from __future__ import annotations
 
-from functools import cache
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Program", "applied", "load_lapack", "solve"]
+__all__ = ["Iterate", "Program", "advanced", "applied", "solve"]
 
 _LEAST_SHARE = 1e-6  # share of the cell's coefficient: lower bound of v^2 at a place, so that f stays below 1000
 _MOST_ITERATIONS = 40  # after these the last iterate is used, because any iterate is a motion
+_AT_ONCE = 1000  # cells times iterations between two polls of the deadline, 0.2 ms in C
 _GAP = 1e-2  # duality gap relative to the objective; the margins of the reference are larger
 _RESIDUAL = 6e-3  # relative tolerance of every bound
 _FREEZE = 8  # iterations after which f is fixed, because further updates of f converge only linearly
@@ -37,7 +42,7 @@ _LARGEST_DECREASE = 0.9  # share of a coefficient in one step
 _SMALLEST_SLACK = 0.2  # at the start, so that rows violated by the first iterate do not start on their bound
 _FIRST_GAP = 0.2  # initial duality gap relative to the objective
 # The next target gap is a share of the present gap that depends on the length of the step.
-_CENTERING, _SHORT_CENTERING = ((0.85, 0.08), (0.4, 0.25)), 0.6
+_CENTERING = 0.85, 0.08, 0.4, 0.25, 0.6  # least length and share, twice, and the share for shorter steps
 
 
 def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
@@ -54,7 +59,29 @@ class Program(NamedTuple):
     with_speed: FloatArray  # B c v <= 1 as stencils, Shape (3, rows, M); v in rows 0, 1: the largest in the cell
     places: FloatArray  # v^2 for the other rows as stencils, Shape (3, rows - 2, M)
     right_share: FloatArray  # weight of c_{i+1} in the value at knot i, Shape (M + 1,)
-    quadratic: FloatArray  # upper bands of Q in LAPACK's storage, Shape (4, M + 2)
+    quadratic: FloatArray  # upper bands of Q, Shape (4, M + 2): entry (3 - d, j) is Q[j - d, j]
+
+
+class Iterate(NamedTuple):
+    """Iterate of a program with R rows, first those of A and then those of B.
+
+    In iteration 0, all values except `c` are not used; the first iteration derives them from `c`.
+    """
+
+    c: FloatArray  # coefficients, Shape (M + 2,)
+    slack: FloatArray  # S, Shape (R, M)
+    dual: FloatArray  # Z, Shape (R, M)
+    share: FloatArray  # f, Shape (rows of B, M)
+    mu: float = 0.0  # target of S Z
+    iteration: int = 0  # number of iterations so far
+    ended: bool = False  # whether the method has ended
+
+    @classmethod
+    def of(cls, program: Program, c: FloatArray) -> Iterate:
+        """Return the first iterate for the coefficients `c`, Shape (M + 2,)."""
+        linear, curved = program.rows.shape[1:], program.with_speed.shape[1:]
+        slack = np.zeros((linear[0] + curved[0], curved[1]))
+        return cls(c, slack, slack, np.zeros(curved))
 
 
 def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[FloatArray, int]:
@@ -63,120 +90,187 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
     Args:
         program: The program.
         c: First iterate, positive, with the given values of the two coefficients at each end, Shape (M + 2,).
-        look: Called in every iteration; it may raise.
+        look: Called as often as there are iterations; it may raise.
     """
-    iterate = _Iterate(program, c)
-    slack = np.maximum(-iterate.value, _SMALLEST_SLACK)
-    mu = _FIRST_GAP * iterate.objective / slack.size
-    dual = mu / slack
-    iteration = 0
-    for iteration in range(1, _MOST_ITERATIONS + 1):
-        look()
-        primal = iterate.value + slack
-        weight = dual / slack
-        change = iterate.newton_change(weight, mu / slack + weight * primal)
-        if not np.isfinite(change).all():
-            break  # no spline satisfies the limits; the last iterate is still a motion
-        slack_change = -primal - applied(iterate.stencil, change)
-        dual_change = mu / slack - dual - weight * slack_change
-        step = min(
-            _fraction_to_boundary(slack, slack_change, _TO_BOUNDARY),
-            _fraction_to_boundary(c[1:-1], change[1:-1], _LARGEST_DECREASE),
-        )
-        dual_step = _fraction_to_boundary(dual, dual_change, _TO_BOUNDARY)
-        c, slack, dual = c + step * change, slack + step * slack_change, dual + dual_step * dual_change
-        iterate.move_to(c, frozen=iteration > _FREEZE)
-        gap = float(np.vdot(slack, dual))
-        residual = float(np.abs(iterate.value + slack).max())
-        if gap < _GAP * iterate.objective and residual < _RESIDUAL:
+    iterate = Iterate.of(program, c)
+    most = max(1, _AT_ONCE // program.steps.size)
+    while not iterate.ended:
+        found = advanced(program, iterate, most)
+        for _ in range(found.iteration - iterate.iteration):
+            look()
+        iterate = found
+    return iterate.c, iterate.iteration
+
+
+_KERNEL = Kernel("optdock_interior_point", sizes=5, numbers=12)
+assert _FREEZE == 8  # a constant of the kernel
+
+
+def _advanced_native(program: Program, iterate: Iterate, most: int) -> Iterate:
+    m, linear, curved = program.steps.size, program.rows.shape[1], program.with_speed.shape[1]
+    size, before = (linear + curved) * m, iterate.iteration
+    data = np.concatenate([part.ravel() for part in program])
+    state = np.concatenate([part.ravel() for part in iterate[:4]] + [[iterate.mu, iterate.ended]])
+    work = (2 * linear + 5 * curved + 17) * m + 4
+    count = _KERNEL(
+        (m, linear, curved, before, min(most, _MOST_ITERATIONS - before)),
+        (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP),
+        (
+            (data, 6 * m + 9 + 3 * (linear + 2 * curved - 2) * m),
+            (state, m + 4 + 2 * size + curved * m),
+            (np.empty(work), work),
+        ),
+    )
+    if count < 0:
+        raise ValueError("program: must have at least 4 cells and 2 rows with speed")
+    slack, dual = state[m + 2 : m + 2 + 2 * size].reshape(2, -1, m)
+    share = state[m + 2 + 2 * size : -2].reshape(-1, m)
+    ended = bool(state[-1]) or before + count == _MOST_ITERATIONS
+    return Iterate(state[: m + 2], slack, dual, share, float(state[-2]), before + count, ended)
+
+
+@twin_of(_advanced_native)
+def advanced(program: Program, iterate: Iterate, most: int) -> Iterate:
+    """Return the iterate after at most `most` iterations of the program."""
+    if iterate.iteration == 0:
+        iterate = _completed(program, iterate.c)
+    for _ in range(most):
+        if iterate.ended:
             break
-        shorter = min(step, dual_step)
-        share = next((share for longer, share in _CENTERING if shorter > longer), _SHORT_CENTERING)
-        mu = share * gap / slack.size
-    return c, iteration
+        iterate = _next_iterate(program, iterate)
+    return iterate
 
 
-class _Iterate:
-    """Constraint values, stencils and Newton's normal equations of the program at the current coefficients."""
-
-    def __init__(self, program: Program, c: FloatArray) -> None:
-        self.program = program
-        self.products = _products(program.rows)
-        self.linear = program.rows.shape[1]
-        self.stencil = np.concatenate((program.rows, np.zeros(program.with_speed.shape)), axis=1)
-        self.value = np.empty(self.stencil.shape[1:])
-        self.move_to(c, frozen=False)
-
-    def move_to(self, c: FloatArray, *, frozen: bool) -> None:
-        """Evaluate all values at `c`; `frozen` keeps f unchanged. Rows B are in units of 1 / sqrt(c)."""
-        program, linear = self.program, self.linear
-        if not frozen:  # f is sqrt(c) divided by the speed of each row in the cell
-            knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
-            largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
-            self.share: FloatArray = np.sqrt(c[1:-1] / largest)
-            if program.places.shape[1]:
-                there = np.maximum(applied(program.places, c), _LEAST_SHARE * c[1:-1])
-                self.share = np.concatenate((self.share[None].repeat(2, axis=0), np.sqrt(c[1:-1] / there)))
-        self.c = c
-        root = self.root = np.sqrt(c[1:-1])
-        self.value[:linear] = applied(program.rows, c) - 1.0
-        scaled = program.with_speed * root
-        self.value[linear:] = applied(scaled, c) - self.share
-        self.stencil[:, linear:] = scaled
-        self.stencil[1, linear:] += 0.5 * self.share / (root * root)
-
-    @property
-    def objective(self) -> float:
-        """Duration of the reference [s]."""
-        return float(np.dot(self.program.steps, 1.0 / self.root))
-
-    def newton_change(self, weight: FloatArray, target: FloatArray) -> FloatArray:
-        """Return the solution of (H + A' W A) dc = -grad - A' target; zero at the two given coefficients on each side.
-
-        Args:
-            weight: The diagonal of W, Shape (all rows, M).
-            target: Shape (all rows, M).
-        """
-        quadratic = self.program.quadratic
-        normal = np.einsum("rm,prm->pm", weight[: self.linear], self.products)
-        normal += np.einsum("rm,prm->pm", weight[self.linear :], _products(self.stencil[:, self.linear :]))
-        slope = np.einsum("rm,prm->pm", target, self.stencil)
-        square = self.root * self.root
-        cube = self.program.steps / (self.root * square)
-        band = np.array(quadratic[:, 2:-2], order="F")
-        band[3] += normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
-        band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
-        band[1, 2:] += normal[5, 2:-2]
-        force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
-        band_solve, band_product = _lapack()
-        force -= band_product(3, 1.0, quadratic, self.c)[2:-2]
-        _factor, solution, info = band_solve(band, force)
-        change = np.zeros(self.program.steps.size + 2)
-        if info == 0:
-            change[2:-2] = solution
-        return change
+def _completed(program: Program, c: FloatArray) -> Iterate:
+    share = _shares(program, c)
+    slack = np.maximum(-_values(program, c, share), _SMALLEST_SLACK)
+    mu = _FIRST_GAP * _objective(program, c) / slack.size
+    return Iterate(c, slack, mu / slack, share, mu)
 
 
-def _products(stencil: FloatArray) -> FloatArray:
-    """Return the products of the stencil's columns 00, 11, 22, 01, 12, 02; Shape (6, rows, M)."""
-    return stencil[[0, 1, 2, 0, 1, 0]] * stencil[[0, 1, 2, 1, 2, 2]]
+def _next_iterate(program: Program, iterate: Iterate) -> Iterate:
+    c, slack, dual, share, mu, iteration, _ended = iterate
+    iteration += 1
+    stencil, value = _stencils(program, c, share), _values(program, c, share)
+    primal, weight = value + slack, dual / slack
+    change = _newton_change(program, c, stencil, weight, mu / slack + weight * primal)
+    if not np.isfinite(change).all():  # no spline satisfies the limits; the last iterate is still a motion
+        return iterate._replace(iteration=iteration, ended=True)
+    slack_change = -primal - applied(stencil, change)
+    dual_change = mu / slack - dual - weight * slack_change
+    step = min(
+        _fraction_to_boundary(slack, slack_change, _TO_BOUNDARY),
+        _fraction_to_boundary(c[1:-1], change[1:-1], _LARGEST_DECREASE),
+    )
+    dual_step = _fraction_to_boundary(dual, dual_change, _TO_BOUNDARY)
+    c, slack, dual = c + step * change, slack + step * slack_change, dual + dual_step * dual_change
+    if iteration <= _FREEZE:
+        share = _shares(program, c)
+    gap = float(np.cumsum(slack * dual)[-1])
+    residual = float(np.abs(_values(program, c, share) + slack).max())
+    ended = gap < _GAP * _objective(program, c) and residual < _RESIDUAL
+    if not ended:
+        mu = _centering(min(step, dual_step)) * gap / slack.size
+    return Iterate(c, slack, dual, share, mu, iteration, ended or iteration == _MOST_ITERATIONS)
+
+
+def _centering(step: float) -> float:
+    long, long_share, middle, middle_share, short_share = _CENTERING
+    return long_share if step > long else middle_share if step > middle else short_share
+
+
+def _shares(program: Program, c: FloatArray) -> FloatArray:
+    """Return f, sqrt(c) divided by the speed of each row of B in its cell, Shape (rows of B, M)."""
+    knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
+    largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
+    there = np.maximum(applied(program.places, c), _LEAST_SHARE * c[1:-1])
+    shares: FloatArray = np.sqrt(c[1:-1] / np.concatenate(([largest, largest], there)))
+    return shares
+
+
+def _values(program: Program, c: FloatArray, share: FloatArray) -> FloatArray:
+    """Return the values of all constraints, at most 0 if satisfied; rows B are in units of 1 / sqrt(c)."""
+    scaled = program.with_speed * np.sqrt(c[1:-1])
+    return np.concatenate((applied(program.rows, c) - 1.0, applied(scaled, c) - share))
+
+
+def _stencils(program: Program, c: FloatArray, share: FloatArray) -> FloatArray:
+    """Return the derivatives of all constraints as stencils, Shape (3, rows, M)."""
+    root = np.sqrt(c[1:-1])
+    scaled = program.with_speed * root
+    scaled[1] += 0.5 * share / (root * root)
+    return np.concatenate((program.rows, scaled), axis=1)
+
+
+def _objective(program: Program, c: FloatArray) -> float:
+    """Return the duration of the reference [s]."""
+    return float(np.cumsum(program.steps / np.sqrt(c[1:-1]))[-1])
+
+
+def _newton_change(
+    program: Program, c: FloatArray, stencil: FloatArray, weight: FloatArray, target: FloatArray
+) -> FloatArray:
+    """Return the solution of (H + A' W A) dc = -grad - A' target; zero at the two given coefficients on each side.
+
+    Args:
+        program: The program.
+        c: Coefficients, Shape (M + 2,).
+        stencil: The matrix A of all constraints, Shape (3, R, M).
+        weight: The diagonal of W, Shape (R, M).
+        target: Shape (R, M).
+    """
+    # Products of the stencil's columns 00, 11, 22, 01, 12, 02, summed over the rows.
+    products = weight * (stencil[[0, 1, 2, 0, 1, 0]] * stencil[[0, 1, 2, 1, 2, 2]])
+    normal, slope = np.add.reduce(products, axis=1), np.add.reduce(target * stencil, axis=1)
+    root = np.sqrt(c[1:-1])
+    square = root * root
+    cube = program.steps / (root * square)
+    band = program.quadratic[:, 2:-2].copy()
+    band[3] += normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
+    band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
+    band[1, 2:] += normal[5, 2:-2]
+    force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
+    force -= _band_product(program.quadratic, c)[2:-2]
+    change = np.zeros(c.size)
+    change[2:-2] = _band_solution(band, force)
+    return change
+
+
+def _band_product(bands: FloatArray, c: FloatArray) -> FloatArray:
+    """Return the product of a symmetric matrix, given by its upper bands, Shape (4, n), and `c`, Shape (n,)."""
+    product: FloatArray = bands[3] * c
+    for distance in range(1, 4):
+        band = bands[3 - distance, distance:]
+        product[distance:] += band * c[:-distance]
+        product[:-distance] += band * c[distance:]
+    return product
+
+
+def _band_solution(bands: FloatArray, force: FloatArray) -> FloatArray:
+    """Solve a positive definite system, given by its upper bands, Shape (4, n), by its factors L D L'. Shape (n,).
+
+    The solution is zero if the matrix is not positive definite.
+    """
+    pivots, forced, factors = [math.inf] * 3, [0.0] * 3, [(0.0, 0.0, 0.0)] * 3  # rows before the first
+    for third, above, beside, own, value in zip(*bands.tolist(), force.tolist(), strict=True):
+        second = above - third * factors[-2][0]
+        first = beside - (third * factors[-1][1] + second * factors[-1][0])
+        c, b, a = third / pivots[-3], second / pivots[-2], first / pivots[-1]
+        pivot = own - (third * c + second * b + first * a)
+        if pivot <= 0.0:
+            return np.zeros(force.size)
+        pivots.append(pivot)
+        factors.append((a, b, c))
+        forced.append(value - (a * forced[-1] + b * forced[-2] + c * forced[-3]))
+    factors += [(0.0, 0.0, 0.0)] * 3
+    solution = [0.0] * 3
+    for i in range(len(pivots) - 1, 2, -1):
+        known = factors[i + 1][0] * solution[-1] + factors[i + 2][1] * solution[-2] + factors[i + 3][2] * solution[-3]
+        solution.append(forced[i] / pivots[i] - known)
+    return np.array(solution[:2:-1])
 
 
 def _fraction_to_boundary(values: FloatArray, change: FloatArray, share: float) -> float:
     """Return the largest step, at most 1, for which no value decreases by more than `share` of itself."""
     worst = float((change / values).min())
     return min(1.0, -share / worst) if worst < 0.0 else 1.0
-
-
-def load_lapack() -> None:
-    """Import LAPACK in advance."""
-    _lapack()
-
-
-@cache
-def _lapack() -> tuple[Callable[..., tuple[object, FloatArray, int]], Callable[..., FloatArray]]:
-    """Return LAPACK's solver for banded positive definite systems and BLAS's banded symmetric matrix product."""
-    from scipy.linalg.blas import dsbmv
-    from scipy.linalg.lapack import dpbsv
-
-    return dpbsv, dsbmv

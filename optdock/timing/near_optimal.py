@@ -24,7 +24,6 @@ from pydantic import Field
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.plugins.interfaces import TimingStatus
 from optdock.plugins.parameters import PluginParameters
-from optdock.timing.interior_point import load_lapack
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, duration_of, stretched
 from optdock.timing.path_limits import CHECK_MARGIN, KNOT_STEP, SPEED_MARGIN, ReferenceBounds, Tightening
 from optdock.timing.plan_checks import (
@@ -79,15 +78,6 @@ class NearOptimal(SegmentTimeParameterizer):
 
     Parameters = NearOptimalParameters
     parameters: NearOptimalParameters
-
-    def on_configure(self) -> None:
-        """Import the libraries before the first call.
-
-        Raises:
-            PluginError: If the package ruckig is not installed.
-        """
-        super().on_configure()
-        load_lapack()
 
     def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         """Yield plans of one segment; see `near_optimal_plans`."""

@@ -162,7 +162,7 @@ class PathLimits:
         self.turning = turning_limits(self.drive)
         length, drive = float(self.s[-1]), self.drive
         self.length = length
-        along_curve = float(np.sum(np.diff(self.s) * self.maximum_velocity_curve()))
+        along_curve = float(((self.s[1:] - self.s[:-1]) * self.maximum_velocity_curve()).sum())
         by_drive = math.sqrt(2.0 * length * (1.0 / drive.max_acceleration + 1.0 / drive.max_deceleration))
         by_jerk = math.exp(math.log(32.0 * length / drive.max_jerk) / 3.0)
         self.duration_estimate = max(along_curve, by_drive, by_jerk)
@@ -203,7 +203,7 @@ class PathLimits:
 
     def cells_at(self, s: FloatArray) -> IntArray:
         """Return the index of the cell of each point, Shape (n,)."""
-        found: IntArray = np.searchsorted(self.s, s, side="right") - 1
+        found: IntArray = self.s.searchsorted(s, side="right") - 1
         cells: IntArray = np.minimum(np.maximum(found, 0), self.s.size - 2)
         return cells
 
@@ -288,8 +288,8 @@ def segment_limits(
     spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING
     zone_start = min(max(zone_start, 0.0), segment.length)
     s = _nodes(segment, max(spacing, segment.length / _MOST_NODES), zone_start)
-    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # the nearest node replaces the zone start
-    cells = np.diff(s)
+    zone_start = float(s[np.abs(s - zone_start).argmin()])  # the nearest node replaces the zone start
+    cells = s[1:] - s[:-1]
     return PathLimits(
         s=readonly(s),
         curvature=readonly(segment.curvature_at(s)),
@@ -325,14 +325,17 @@ def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
 
 def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
     """Return the segment's knots and the zone start, with equal steps of at most `spacing` between them."""
-    knots = np.union1d(segment.knots, [zone_start])
-    knots = knots[np.concatenate(([True], np.diff(knots) > 1e-12 * max(1.0, segment.length)))]
+    knots = np.concatenate((segment.knots, [zone_start]))
+    knots.sort()
+    keep = np.ones(knots.size, dtype=np.bool_)
+    keep[1:] = knots[1:] - knots[:-1] > 1e-12 * max(1.0, segment.length)
+    knots = knots[keep]
     knots[-1] = segment.length
-    steps = np.diff(knots)
+    steps = knots[1:] - knots[:-1]
     parts = np.maximum(1, np.ceil(steps / spacing - 1e-9)).astype(np.int64)
-    owner = np.repeat(np.arange(steps.size), parts)
-    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+    owner = np.arange(steps.size).repeat(parts)
+    rank = np.arange(owner.size) - (parts.cumsum() - parts).repeat(parts)
+    return np.concatenate((knots[owner] + steps[owner] * rank / parts[owner], knots[-1:]))
 
 
 class Tightening(NamedTuple):
@@ -367,9 +370,9 @@ class ReferenceBounds:
         if limits.has_zone:
             slow = np.where(limits.s[:-1] >= limits.zone_start, 1.0 / limits.zone_speed, 0.0)
             left, right = np.maximum(left, slow), np.maximum(right, slow)
-        ends = np.stack((limits.curvature[1:], limits.rate_right, right))
-        self._left = np.stack((limits.curvature[:-1], limits.rate_left, left))
-        self._slope = (ends - self._left) / np.diff(limits.s)
+        ends = np.array((limits.curvature[1:], limits.rate_right, right))
+        self._left = np.array((limits.curvature[:-1], limits.rate_left, left))
+        self._slope = (ends - self._left) / (limits.s[1:] - limits.s[:-1])
         relieved = limits.s[:-1] < self.relief
         factor = self._factors()
         cap = np.maximum(left, right) ** -2.0
@@ -379,7 +382,7 @@ class ReferenceBounds:
         large = np.zeros(jump.size, dtype=np.bool_)
         for limit in limits.turning:
             large |= limit.at_constant_speed(least, jump) > _JUMP * limit.bound
-        self.jumps = np.flatnonzero(large) + 1
+        self.jumps = large.nonzero()[0] + 1
         if limits.caps.steering:
             at_caps = np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > _CAP_JUMP) + 1
             self.jumps = np.union1d(self.jumps, at_caps)

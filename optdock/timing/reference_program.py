@@ -156,12 +156,13 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, 
     jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > _KNOT_JUMP]
     breaks = _breaks(bounds, profile, (first, last), jumps)
     times = np.interp(breaks, limits.s, clock)
-    parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
-    parts[np.argmax(np.diff(times))] += max(0, _LEAST_CELLS - int(parts.sum()))
-    owner = np.repeat(np.arange(parts.size), parts)
-    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
-    inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], clock, limits.s)
-    knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
+    spans = times[1:] - times[:-1]
+    parts = np.maximum(1, np.rint(spans / step)).astype(np.int64)
+    parts[spans.argmax()] += max(0, _LEAST_CELLS - int(parts.sum()))
+    owner = np.arange(parts.size).repeat(parts)
+    rank = np.arange(owner.size) - (parts.cumsum() - parts).repeat(parts)
+    inner = np.interp(times[owner] + spans[owner] * rank / parts[owner], clock, limits.s)
+    knots = np.concatenate((np.where(rank == 0, breaks[owner], inner), breaks[-1:]))
     return _limits_on(bounds, profile, knots, limits.s[jumps])
 
 
@@ -169,18 +170,28 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
     """Return the pseudo time at the nodes, slowed down where the speed is constant and needs few knots."""
     limits = bounds.limits
     total = float(profile.time[-1])
-    times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
+    times = _spread(total, max(2, int(total / _CRUISE_SAMPLE)))
     x = np.interp(times, profile.time, profile.speed_squared)
     for limit in limits.turning:
         at_nodes = limit.at_constant_speed(profile.speed_squared[1:], limits.steepest)
         turning = np.interp(times, profile.time[1:], at_nodes)
         x = np.where(turning > _CRUISE_YAW * limit.bound, 0.0, x)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(x, _CRUISE_REACH), 2 * _CRUISE_REACH + 1)
-    level = around.min(axis=1) > _CRUISE_LEVEL * around.max(axis=1)
+    padded = np.zeros(x.size + 2 * _CRUISE_REACH)
+    padded[_CRUISE_REACH:-_CRUISE_REACH] = x
+    around = np.ndarray((x.size, 2 * _CRUISE_REACH + 1), np.float64, padded, strides=2 * padded.strides)
+    level = np.minimum.reduce(around, axis=1) > _CRUISE_LEVEL * np.maximum.reduce(around, axis=1)
     density = np.where(level, _CRUISE_DENSITY, 1.0)
-    clock = np.concatenate(([0.0], np.cumsum(0.5 * (density[:-1] + density[1:]) * np.diff(times))))
+    gains = 0.5 * (density[:-1] + density[1:]) * (times[1:] - times[:-1])
+    clock = np.concatenate(([0.0], gains.cumsum()))
     spread: FloatArray = np.interp(profile.time, times, clock)
     return spread
+
+
+def _spread(total: float, count: int) -> FloatArray:
+    """Return `count` + 1 times from 0 to `total`."""
+    times: FloatArray = np.arange(count + 1) * (total / count)
+    times[-1] = total
+    return times
 
 
 def _breaks(
@@ -195,9 +206,9 @@ def _breaks(
     found = jumps[(limits.s[jumps] > first.s) & (limits.s[jumps] < last.s)]
     if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
         found = found[:0]
-    taken = np.sort(np.interp(fixed, limits.s, profile.time)).tolist()
+    taken = sorted(np.interp(fixed, limits.s, profile.time).tolist())
     size = _jump_sizes(bounds, profile, found)
-    for i in found[np.argsort(-size, kind="stable")].tolist():
+    for i in found[(-size).argsort(kind="stable")].tolist():
         time = float(profile.time[i])
         place = min(max(bisect.bisect(taken, time), 1), len(taken) - 1)  # both ends are already in the list
         if taken[place] - time > gap and time - taken[place - 1] > gap:
@@ -230,15 +241,15 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
     curvature, right, _slow = bounds.curve_at(knots)
     _k, left, _slow = bounds.curve_at(knots - 1e-9)
     centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
-    rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
-    centre_rate = np.stack((centre_rate, centre_rate))
+    rate = np.array((np.maximum(left, right), np.minimum(left, right)))
+    centre_rate = np.array((centre_rate, centre_rate))
     hidden = _hidden_jumps(jumps, knots)
     if hidden.any():
         rate, centre_rate = _extremes(limits, knots, hidden, rate, centre_rate)
-    zone = int(np.searchsorted(knots, limits.zone_start - 1e-12)) if limits.has_zone else 0
+    zone = int(knots.searchsorted(limits.zone_start - 1e-12)) if limits.has_zone else 0
     return Grid(
         knots=knots,
-        steps=np.diff(knots),
+        steps=knots[1:] - knots[:-1],
         bound=_least_between(bounds.speed_squared, cells[:-1], cells[1:]),
         curvature=curvature,
         rate=rate,
@@ -252,10 +263,10 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
     """Return, for each cell of the grid, whether it contains a jump without a knot. Shape (M,)."""
-    nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
+    nearest = knots[np.minimum(knots.searchsorted(places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
-    counts = np.searchsorted(places, knots)
-    found: BoolArray = np.diff(counts) > 0
+    counts = places.searchsorted(knots)
+    found: BoolArray = counts[1:] > counts[:-1]
     return found
 
 
@@ -275,8 +286,9 @@ def _extremes(
 
 def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     """Return the minimum of `values[first[i] : last[i] + 1]` for every i."""
-    pairs = np.stack((first, last + 1), axis=1).ravel()
-    least: FloatArray = np.minimum.reduceat(np.append(values, np.inf), pairs)[::2]
+    pairs = np.empty(2 * first.size, dtype=np.int64)
+    pairs[::2], pairs[1::2] = first, last + 1
+    least: FloatArray = np.minimum.reduceat(np.concatenate((values, [np.inf])), pairs)[::2]
     return least
 
 
@@ -300,8 +312,8 @@ def spline_of(steps: FloatArray) -> Spline:
     padded = np.concatenate((steps[:1], steps, steps[-1:]))
     both = padded[:-1] + padded[1:]
     right_share = padded[:-1] / both
-    value = np.stack((1.0 - right_share, right_share))  # (2, M + 1) on c_i, c_{i+1}
-    slope = np.stack((-1.0 / both, 1.0 / both))
+    value = np.array((1.0 - right_share, right_share))  # (2, M + 1) on c_i, c_{i+1}
+    slope = np.array((-1.0 / both, 1.0 / both))
     zero = np.zeros((1, steps.size))
     left_value, left_slope = (np.concatenate((part[:, :-1], zero)) for part in (value, slope))
     right_value, right_slope = (np.concatenate((zero, part[:, 1:])) for part in (value, slope))
@@ -363,11 +375,11 @@ def _turning_rows(value: FloatArray, turn: FloatArray, rate: FloatArray, most: F
 def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
     """Return the bands of Q, c' Q c / 2 = sum of (weight * step of x'' between cells)^2; weight Shape (M - 1,).
 
-    Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
+    Shape (4, M + 2): entry (3 - d, j) is Q[j - d, j].
     """
     left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
     row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
-    bands = np.zeros((4, weight.size + 3), order="F")
+    bands = np.zeros((4, weight.size + 3))
     for offset in range(4):
         for i in range(4 - offset):
             bands[3 - offset, i + offset : i + offset + weight.size] += 2.0 * row[i] * row[i + offset]
@@ -385,13 +397,15 @@ def initial_guess(
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])
-    times = np.linspace(0.0, total, max(3, int(total / _GUESS_SAMPLE) + 1))
+    times = _spread(total, max(2, int(total / _GUESS_SAMPLE)))
     # The acceleration cannot exceed sqrt(peak * jerk) before the speed is at its peak.
     reachable = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
     half = 0.5 * (min(drive.max_acceleration, reachable) + min(drive.max_deceleration, reachable)) / drive.max_jerk
     samples = min(times.size, int(half * (times.size - 1) / total) + 1)
     values = np.interp(times, profile.time, profile.speed_squared)
-    sums = np.cumsum(np.concatenate((np.zeros(samples + 1), values, np.zeros(samples))))
+    padded = np.zeros(values.size + 2 * samples + 1)
+    padded[samples + 1 : samples + 1 + values.size] = values
+    sums = padded.cumsum()
     mean = (sums[2 * samples + 1 :] - sums[: -2 * samples - 1]) / (2 * samples + 1)  # box filter
     x = _GUESS_SHARE * np.interp(time, times, mean)
     since, until = time - time[0], time[-1] - time
@@ -420,7 +434,7 @@ class ReferenceStates(NamedTuple):
     @property
     def durations(self) -> FloatArray:
         """Durations of the cells, in which the acceleration is linear in s, Shape (M,) [s]."""
-        durations: FloatArray = 2.0 * np.diff(self.s) / (self.v[:-1] + self.v[1:])
+        durations: FloatArray = 2.0 * (self.s[1:] - self.s[:-1]) / (self.v[:-1] + self.v[1:])
         return durations
 
 
@@ -452,13 +466,13 @@ def solve_reference(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
         c = coefficients_of(grid.steps, guess, first, last)
         c, iterations = solve(program, c, deadline.look)
-    x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
+    x, a = (np.concatenate(([0.0], applied(part, c))) for part in (spline.right_value, spline.right_slope))
     v = np.sqrt(np.maximum(x, 1e-12))
-    np.clip(a, -limits.drive.max_deceleration, limits.drive.max_acceleration, out=a)
+    a = np.minimum(np.maximum(a, -limits.drive.max_deceleration), limits.drive.max_acceleration)
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
     found = ReferenceStates(grid.knots, v, a, applied(spline.curve, c), grid, launch, stop, iterations)
     longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
-    return found if float(np.sum(found.durations)) <= longest else None
+    return found if float(found.durations.sum()) <= longest else None
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from optdock.verification.conservative_advancement import ClearanceProof
 
 __all__ = ["certify_motion", "certify_path", "certify_trajectory"]
+
+_BOUNDS = attrgetter(*(field.name for field in fields(MotionLimits)))  # all bounds of limits
 
 Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
 
@@ -175,7 +178,7 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
         violations, ratios = trajectory_violations(trajectory, limits, zone, start, checked)
         return TrajectoryCertificate(violations, ratios, trajectory.time_law.duration, trajectory.path.digest)
 
-    against = (_Itself(trajectory.path), astuple(limits), astuple(zone), start)
+    against = (_Itself(trajectory.path), _BOUNDS(limits), (zone.speed, zone.distance), start)
     return _made_once(_TIME_LAWS, trajectory.time_law, against, is_late, verdict)
 
 

@@ -148,8 +148,8 @@ def _speed_extremes(law: TimeLaw) -> _Extremes:
     """Return the borders of the phases, followed by their stationary points of speed, clipped to the phase."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         dt = np.where(law.jerks != 0.0, -law.states[:-1, 2] / law.jerks, 0.0)
-    inside = Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
-    s, v, _ = inside.motion(law).T
+    inside = Instants(np.arange(law.durations.size), np.minimum(np.maximum(dt, 0.0), law.durations))
+    s, v, _ = inside.motion(law)
     borders = law.states
     return _Extremes(
         np.concatenate((law.times, inside.times(law))),
@@ -280,13 +280,12 @@ def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatA
 
 def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found: _Extremes) -> Iterator[_Peak]:
     """Yield the largest speed of every stretch; `entries` alternates between arrivals at its beginning and its end."""
-    entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
-    for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
-        inside = (found.s >= begin) & (found.s <= end)
-        t = np.concatenate((found.t[inside], when))
-        s, v = np.concatenate((np.column_stack((found.s, found.v))[inside], states)).T
-        k = int(np.argmax(v))
-        yield _Peak("speed", float(limit), float(v[k]), float(t[k]), float(s[k]))
+    at_entries = (entries.times(law), *entries.motion(law)[:2])
+    for i, (begin, end, limit) in enumerate(stretches.tolist()):
+        inside, ends = (found.s >= begin) & (found.s <= end), slice(2 * i, 2 * i + 2)
+        t, s, v = (np.concatenate((all_of[inside], when[ends])) for all_of, when in zip(found, at_entries, strict=True))
+        k = int(v.argmax())
+        yield _Peak("speed", limit, float(v[k]), float(t[k]), float(s[k]))
 
 
 class _Phases(NamedTuple):

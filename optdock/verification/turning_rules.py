@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.kernels import Kernel, twin_of
 from optdock.model.constant_jerk import constant_jerk
 from optdock.model.limits import LIMITS, QUANTITY_UNITS
 from optdock.model.path import PolylineSegment, TurnSegment
@@ -65,10 +66,10 @@ class Instants(NamedTuple):
     phase: IntArray
     since: FloatArray
 
-    def motion(self, law: TimeLaw) -> FloatArray:
-        """Return distance, speed and acceleration, Shape (n, 3)."""
+    def motion(self, law: TimeLaw) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return distance, speed and acceleration, Shape (n,) each."""
         s, v, a = law.states[self.phase].T
-        return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
+        return constant_jerk(self.since, s, v, a, law.jerks[self.phase])
 
     def rows(self, keep: slice) -> Instants:
         """Return the instants selected by `keep`."""
@@ -80,6 +81,27 @@ class Instants(NamedTuple):
         return times
 
 
+_CROSSINGS = Kernel("optdock_crossings", sizes=3, numbers=0)
+
+
+def _crossings_native(law: TimeLaw, s: FloatArray) -> Instants:
+    n, phases = s.size, law.durations.size
+    phase, since = np.empty(n, dtype=np.int64), np.empty(n)
+    arrays = (
+        (law.durations, phases),
+        (law.jerks, phases),
+        (law.states, 3 * phases + 3),
+        (s, n),
+        (phase, n),
+        (since, n),
+        (np.empty(phases + 1), phases + 1),
+    )
+    if _CROSSINGS((n, phases, _BISECTIONS), (), arrays) < 0:
+        raise ValueError("time law: must have a phase")
+    return Instants(phase, since)
+
+
+@twin_of(_crossings_native)
 def crossings(law: TimeLaw, s: FloatArray) -> Instants:
     """Return the first instants at which the distance reaches `s`, Shape (n,) [m]; s(t) never decreases."""
     reached = np.maximum.accumulate(law.states[:, 0])
@@ -158,7 +180,7 @@ class Cells(NamedTuple):
     def advanced(self, dt: FloatArray) -> Cells:
         """Return the motion after a time `dt`, from the polynomials of each cell."""
         gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
-        k = np.clip(self.k + self.r * gain, self.low, self.high)
+        k = np.minimum(np.maximum(self.k + self.r * gain, self.low), self.high)
         return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
 
     def rows(self, keep: IntArray | slice) -> Cells:
@@ -184,30 +206,32 @@ def initial_cells(law: TimeLaw, pieces: Pieces, knots: Instants, *, has_turns: b
     """Return cells between events: starts of phases, knots of the path, and a grid of `_MAX_WIDTH`."""
     phases = np.arange(law.durations.size)
     most = max(1, _MAX_GRID // phases.size)
-    parts = np.clip(np.ceil(law.durations / _MAX_WIDTH), 1.0, most).astype(np.int64)
-    owner = np.repeat(phases, parts)
-    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)  # 0 is the start of the phase
+    parts = np.minimum(np.maximum(np.ceil(law.durations / _MAX_WIDTH), 1.0), most).astype(np.int64)
+    owner = phases.repeat(parts)
+    rank = np.arange(owner.size) - (parts.cumsum() - parts).repeat(parts)  # 0 is the start of the phase
     phase = np.concatenate((owner, knots.phase))
     since = np.concatenate((law.durations[owner] * rank / parts[owner], knots.since))
     kind = np.concatenate((np.where(rank == 0, 0, -1), np.arange(1, knots.phase.size + 1)))
     order = np.lexsort((kind, since, phase))
     phase, since, kind = phase[order], since[order], kind[order]
-    piece = np.cumsum(kind > 0)
     at_knot = kind > 0
+    piece = at_knot.cumsum()
     # Rounding may swap simultaneous knots; the order along the path is decisive.
     begins = pieces.begin[piece]
-    end = np.append(since[1:], 0.0)
-    is_last = np.append(phase[1:] != phase[:-1], True)
-    width = np.where(is_last, law.durations[phase], end) - since
-    s, v, a = Instants(phase, since).motion(law).T
+    end = law.durations[phase]
+    end[:-1] = np.where(phase[1:] != phase[:-1], end[:-1], since[1:])
+    width = end - since
+    s, v, a = Instants(phase, since).motion(law)
     s = np.where(at_knot, begins, s)
     first, last, rate = pieces.first[piece], pieces.last[piece], pieces.rate[piece]
     low, high = np.minimum(first, last), np.maximum(first, last)
-    k = np.where(at_knot, first, np.clip(first + rate * (s - begins), low, high))
+    k = np.where(at_knot, first, np.minimum(np.maximum(first + rate * (s - begins), low), high))
     cells = Cells(law.times[phase] + since, width, s, v, a, law.jerks[phase], k, rate, low, high)
     if has_turns:
         driven = np.flatnonzero(~np.isinf(pieces.step[piece]))
         cells, piece = cells.rows(driven), piece[driven]
+    if np.isnan(pieces.step).all() and not pieces.swing.any():
+        return cells
     # A polyline a second time, with the constant curvature of its steps, and a third time with its oscillation.
     step = pieces.step[piece]
     turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)
@@ -312,19 +336,18 @@ class Judge:
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
         for kind, (limit, size, bend) in self.rules.items():
             at_ends = size(cells, self.drive), size(last, self.drive)
-            # NaN is no proof and counts as infinite.
-            seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
+            seen = _infinite_if_nan(np.maximum(*at_ends))
             stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
-            proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
+            proven = _infinite_if_nan(seen + stray)
             broken = seen > limit * (1.0 + TOLERANCE)
             cleared = proven <= limit * (1.0 + TOLERANCE)
-            self._raise_ratio(kind, float(np.max(np.where(cleared, proven, seen), initial=0.0)))
+            self._raise_ratio(kind, float(np.where(cleared, proven, seen).max(initial=0.0)))
             if broken.any():
                 ends = (cells, at_ends[0]), (last, at_ends[1])
                 worst = int(np.argmax(np.where(broken, seen, -1.0)))
                 self._note(kind, max((_exceeded(kind, limit, *end, worst) for end in ends), key=lambda one: one.amount))
             open_cells |= ~cleared & ~broken
-        return np.flatnonzero(open_cells)
+        return open_cells.nonzero()[0]
 
     def give_up(self, cells: Cells) -> None:
         """Record these cells as unproven."""
@@ -344,6 +367,11 @@ class Judge:
     def _note(self, kind: str, violation: Violation) -> None:
         if kind not in self.found or violation.amount > self.found[kind].amount:
             self.found[kind] = violation
+
+
+def _infinite_if_nan(values: FloatArray) -> FloatArray:
+    """Return sizes with infinity in place of NaN, which is no proof. Shape (n,)."""
+    return np.where(np.isnan(values), np.inf, values)
 
 
 def _exceeded(kind: str, limit: float, cells: Cells, value: FloatArray, k: int) -> Violation:

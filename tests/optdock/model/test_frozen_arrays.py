@@ -302,7 +302,6 @@ HOLD_NO_ARRAYS = {
     "_found",
     "_store",
     "_store_of",
-    "_lapack",
     "_ruckig",
     "_environment",
     "_prepared",
