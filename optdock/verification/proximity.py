@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import frozen
+from optdock.geometry.arrays import frozen, readonly
 from optdock.geometry.obstacles import box_distance
 from optdock.geometry.pose import transform_points
-from optdock.geometry.separation import separation
+from optdock.geometry.separation import separation, skips_edges
+from optdock.kernels import Kernel, twin_of
 from optdock.verification.certificate import Memo
 from optdock.verification.contact_tolerance import DEPTH, deepest
 
@@ -35,6 +36,7 @@ __all__ = [
     "bounded_footprint",
     "broad_phase",
     "end_clearances",
+    "packed_footprint",
     "pose_clearance",
     "pose_clearances",
 ]
@@ -102,9 +104,53 @@ def _of_pieces(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of `pose_clearances` without the check of unions."""
+    corners = obstacles.vertices.shape[1]
+    has_many = any(skips_edges(len(one.vertices), corners) for one in footprint.bodies)
+    by_numpy = has_many or len(obstacles) == 0 or len(poses) == 0
+    return (_of_pieces_numpy if by_numpy else _of_pieces_chosen)(poses, footprint, obstacles, within)
+
+
+_KERNEL = Kernel("optdock_clearances", sizes=6, numbers=0)
+
+
+def _of_pieces_native(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
+    """Return the result of `_of_pieces_numpy`, computed in C; its arrays are described there."""
+    robot, n, m, q = packed_footprint(footprint), len(poses), len(obstacles), obstacles.vertices.shape[1]
+    best, row, turned = np.full(n, float(within)), np.empty(n, dtype=np.int64), np.empty((n, 2))
+    turned[:, 0], turned[:, 1] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    arrays = (
+        (robot.sizes, robot.sizes.size),
+        (robot.numbers, robot.numbers.size),
+        (np.ascontiguousarray(poses), 3 * n),
+        (turned, 2 * n),
+        (obstacles.vertices, 2 * m * q),
+        (obstacles.normals, 2 * m * q),
+        (obstacles.offsets, m * q),
+        (obstacles.lower, 2 * m),
+        (obstacles.upper, 2 * m),
+        (best, n),
+        (row, n),
+        (np.empty(size := m + 2 * (robot.corners + q + robot.circles)), size),
+    )
+    _KERNEL((n, m, len(robot.sizes), q, robot.corners, robot.circles), (), arrays)
+    return best, row
+
+
+@twin_of(_of_pieces_native)
+def _of_pieces_chosen(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
+    return _of_pieces_numpy(poses, footprint, obstacles, within)
+
+
+def _of_pieces_numpy(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
     reach = footprint.circumscribed_radius + min(within, _NEARBY)
     rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-    if rows.size < 0.5 * len(obstacles):
+    if rows.size < 0.5 * len(obstacles) and np.all(np.isfinite(poses)):
         best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
         # The omitted obstacles are at least `_NEARBY` away.
         if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
@@ -115,7 +161,10 @@ def _of_pieces(
 def _nearest(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
-    """Evaluate the obstacles that are nearest in the broad phase first, then all others that may be nearer."""
+    """Evaluate the obstacles that are nearest in the broad phase first, then all others that may be nearer.
+
+    Of obstacles at the same distance the first one is returned.
+    """
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)
@@ -124,15 +173,15 @@ def _nearest(
         count = min(m, _NEAREST)
         nearest = np.zeros((n, m), dtype=np.bool_)
         nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
+        found, known = np.full((n, m), np.inf), best
         for some in (nearest, ~nearest):
-            i, o = np.nonzero(some & ~((apart >= best[:, None]) & (apart > 0.0)))
-            if i.size == 0:
-                continue
-            found = np.full((n, m), np.inf)
-            found[i, o] = separation(body.body, poses[i], obstacles.pieces(o)).distance
-            k = np.argmin(found, axis=1)
-            smallest = found[np.arange(n), k]
-            row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
+            i, o = np.nonzero(some & ~((apart > known[:, None]) & (apart > 0.0)))
+            if i.size:
+                found[i, o] = separation(body.body, poses[i], obstacles.pieces(o)).distance
+                known = np.minimum(known, found.min(axis=1))
+        k = np.argmin(found, axis=1)
+        smallest = found[np.arange(n), k]
+        row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
     return best, row
 
 
@@ -155,6 +204,29 @@ def bounded(bodies: tuple[ConvexBody, ...]) -> tuple[BoundedBody, ...]:
 def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
     """Return the convex pieces of a footprint with their bounding circles, cached."""
     return frozen(bounded(footprint.bodies))
+
+
+class PackedFootprint(NamedTuple):
+    """The convex pieces of a footprint in the form for kernels.
+
+    `sizes`: numbers of corners and circles of each, Shape (k, 2). `numbers`: radius, reach, vertices, normals, offsets
+    and centres of each, one after the other. `corners`, `circles`: the largest numbers.
+    """
+
+    sizes: IntArray
+    numbers: FloatArray
+    corners: int
+    circles: int
+
+
+@functools.lru_cache(maxsize=64)
+def packed_footprint(footprint: Footprint) -> PackedFootprint:
+    """Return `bounded_footprint` in the form for kernels, cached."""
+    bodies = bounded_footprint(footprint)
+    sizes = np.array([(len(one.body.vertices), len(one.centres)) for one in bodies])
+    parts = [((one.radius, one.reach), *one.body, one.centres) for one in bodies]
+    numbers = np.concatenate([np.ravel(part) for body in parts for part in body])
+    return PackedFootprint(readonly(sizes), readonly(numbers), int(sizes[:, 0].max()), int(sizes[:, 1].max()))
 
 
 def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:

@@ -20,7 +20,7 @@ from optdock.deadline import budget_clock
 from optdock.errors import InvalidValue
 from optdock.kernels import Kernel, KernelMismatch, kernels_in_use, kernels_lane, load_library, twin_of, using_kernels
 from optdock.planning.pipeline import plan_dock
-from optdock.verification import conservative_advancement
+from optdock.verification import stretch_bounds
 
 ROOT = Path(__file__).resolve().parents[2]
 HAS_COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) is not None
@@ -50,7 +50,7 @@ def test_random_stretches_are_as_degenerate_as_they_claim(degenerate):
         rng = np.random.default_rng(seed)
         (body, obstacles), (advances, within) = drawn_shapes(rng, degenerate), drawn_stretches(rng, degenerate)
         with np.errstate(all="ignore"):
-            found = conservative_advancement._body_bounds_numpy(body, advances, obstacles, within)
+            found = stretch_bounds._body_bounds_numpy(body, advances, obstacles, within)
         bounds.append(found.bound)
         touches.append(np.any(np.abs(found.distance) < 1e-9))
     bounds = np.concatenate(bounds)
@@ -196,7 +196,7 @@ def test_a_stretch_of_no_pose_is_an_error(row):
     pose = advances.pose.copy()
     pose[-1] = row
     with pytest.raises(IndexError), using_kernels("native"):
-        conservative_advancement._body_bounds_native(body, advances._replace(pose=pose), obstacles, within)
+        stretch_bounds._body_bounds_native(body, advances._replace(pose=pose), obstacles, within)
 
 
 # The library

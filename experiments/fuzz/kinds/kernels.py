@@ -19,9 +19,10 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.kernels import using_kernels
 from optdock.model.path import Path
-from optdock.verification import conservative_advancement
-from optdock.verification.conservative_advancement import Advances, prove_clearance
+from optdock.verification import stretch_bounds
+from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.proximity import bounded_footprint
+from optdock.verification.stretch_bounds import Advances
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
@@ -54,7 +55,7 @@ def judge(case: Case) -> Verdict:
         found = []
         for lane in ("twin", "native"):
             with using_kernels(lane), np.errstate(all="ignore"):
-                found.append(conservative_advancement._body_bounds(body, advances, obstacles, within))
+                found.append(stretch_bounds._body_bounds(body, advances, obstacles, within))
         if not is_equal(*found):
             return Verdict("kernel differs", f"bounds: {case['degenerate']}")
     return Verdict("equal")
