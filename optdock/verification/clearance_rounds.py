@@ -49,7 +49,7 @@ class Rule(NamedTuple):
     def numbers(self) -> tuple[float, ...]:
         """The first eight numbers of `Rule` in C."""
         kept, relief = self.kept, self.start_relief
-        least = float(kept.leaving(np.zeros(1), self.start_clearance, relief)[0])
+        least = kept.least_leaving(self.start_clearance, relief)
         at_start = np.nan if kept.at_start is None else kept.at_start
         return kept.required, kept.at_dock, kept.taper, kept.dock_run, least, START_RELIEF_SLOPE, relief, at_start
 
@@ -193,7 +193,7 @@ def _round_native(
         (pair_of, 2 * pairs),
         (distances, pairs),
         (counts, 2),
-        (np.empty(size := 22 * n + 4 * m + 2 * (robot.corners + q + robot.circles)), size),
+        (np.empty(size := 22 * n + m + 2 * (robot.corners + q + robot.circles)), size),
         (np.empty(size := 6 * n + m + 2 * k + 1, dtype=np.int64), size),
     )
     sizes = n, k, m, bodies, q, robot.corners, robot.circles, len(pieces.kinds), pieces.numbers.shape[1]

@@ -145,14 +145,20 @@ static Gap separation(const Body *body, Pose at, const Piece *piece, double *wor
     return other.distance > best.distance ? other : best;
 }
 
+/* Distance of a coordinate from an interval, 0 within; NaN if the coordinate is. */
+static double outside(double x, double lower, double upper)
+{
+    double farther = lower - x > x - upper ? lower - x : x - upper;
+    return farther < 0.0 ? 0.0 : farther;
+}
+
 /* Lower bound of the distance of a body from the box (lower, upper) of an obstacle, by the body's circles. */
 static double broad_gap(const Body *body, const double *circles, const double *lower, const double *upper)
 {
     double nearest = INFINITY; /* squared; the square root is monotonic, so one at the end suffices */
     for (int64_t i = 0; i < body->circles; i++) {
         double x = circles[2 * i], y = circles[2 * i + 1];
-        double across = most(most(lower[0] - x, x - upper[0]), 0.0);
-        double along = most(most(lower[1] - y, y - upper[1]), 0.0);
+        double across = outside(x, lower[0], upper[0]), along = outside(y, lower[1], upper[1]);
         nearest = least(nearest, across * across + along * along);
     }
     return sqrt(nearest) - body->radius;
@@ -228,41 +234,32 @@ static Piece piece_at(const Obstacles *all, int64_t o)
     return (Piece){all->q, all->vertices + 2 * at, all->normals + 2 * at, all->offsets + at};
 }
 
-/* Broad-phase bounds of the body at a pose to all obstacles; gaps: out, (m,) [m]; centres: work, (circles, 2). */
-static void broad_gaps(const Body *body, Pose at, const Obstacles *all, double *gaps, double *centres)
+/* Centres of the body's circles at a pose; out, (circles, 2). */
+static void place_circles(const Body *body, Pose at, double *centres)
 {
     for (int64_t i = 0; i < body->circles; i++) {
         double x = body->centres[2 * i], y = body->centres[2 * i + 1];
         centres[2 * i] = at.x + at.c * x - at.s * y;
         centres[2 * i + 1] = at.y + at.s * x + at.c * y;
     }
-    for (int64_t o = 0; o < all->m; o++) {
-        int64_t row = row_of(all, o);
-        gaps[o] = broad_gap(body, centres, all->lower + 2 * row, all->upper + 2 * row);
+}
+
+/* Keep the smallest bound of a stretch, and the first obstacle that attains it; a row of -1 is none. */
+static void keep_least(double candidate, int64_t o, double *bound, int64_t *row)
+{
+    if (candidate != candidate)
+        candidate = -INFINITY; /* NaN is no proof */
+    if (*row < 0 || candidate < *bound || (candidate == *bound && o < *row)) {
+        *bound = candidate;
+        *row = o;
     }
 }
 
-/* Bound of a stretch over all obstacles, and the first obstacle that attains it. */
-static double bound_of(const Body *body, Pose at, Stretch motion, int64_t m, const double *gaps,
-                       const int64_t *pair_of, const Gap *exact, int64_t *row)
+/* Whether a squared distance certainly exceeds `limit` by more than `reach`; NaN does not. */
+static int is_beyond(double squared, double limit, double reach)
 {
-    double by_travel = travel(body, motion), by_stray = stray(body, motion), best = 0.0;
-    for (int64_t o = 0; o < m; o++) {
-        double bound;
-        if (pair_of[o] < 0) {
-            bound = gaps[o] - by_travel;
-        } else {
-            Gap gap = exact[pair_of[o]];
-            bound = least(gap.distance, gap.distance + directional(body, at, motion, gap) - by_stray); /* (C5) */
-        }
-        if (bound != bound)
-            bound = -INFINITY; /* NaN is no proof */
-        if (o == 0 || bound < best) {
-            best = bound;
-            *row = o;
-        }
-    }
-    return best;
+    double far = limit + reach;
+    return squared >= 0.0 && (far < 0.0 || squared > far * far);
 }
 
 /* The pairs that were evaluated exactly, (pairs,): pose, obstacle and distance [m] of each. */
@@ -279,38 +276,94 @@ typedef struct {
     const double *motions, *within;
 } Stretches;
 
-/* Bounds of stretches for one body; bound, row: out, (n,). For work and indices see `optdock_advance_bounds`. */
+/* A circle around all circles of a body: its centre is that of the middle one. Return its radius [m], with a margin for
+ * rounding at coordinates of the size of (x, y). */
+static double reach_around(const Body *body, double x, double y)
+{
+    const double *middle = body->centres + 2 * (body->circles / 2);
+    double away = 0.0;
+    for (int64_t i = 0; i < body->circles; i++)
+        away = most(away, hypot(body->centres[2 * i] - middle[0], body->centres[2 * i + 1] - middle[1]));
+    return body->radius + away + 1e-9 + 1e-14 * (fabs(x) + fabs(y));
+}
+
+/* Squared distances of the middle circle's centre from the boxes of the obstacles; out, (m,) [m^2]. */
+static void squared_distances(const Body *body, const double *centres, const Obstacles *all, double *squared)
+{
+    double x = centres[2 * (body->circles / 2)], y = centres[2 * (body->circles / 2) + 1];
+    for (int64_t o = 0; o < all->m; o++) {
+        const double *lower = all->lower + 2 * row_of(all, o), *upper = all->upper + 2 * row_of(all, o);
+        double across = outside(x, lower[0], upper[0]), along = outside(y, lower[1], upper[1]);
+        squared[o] = across * across + along * along;
+    }
+}
+
+/* Gap [m] above which no obstacle lowers the bounds of the stretches order[begin] to order[end - 1] any further. */
+static double limit_at(const Body *body, const Stretches *some, int64_t begin, int64_t end, const int64_t *order,
+                       const double *bound, const int64_t *row)
+{
+    double limit = -INFINITY;
+    for (int64_t j = begin; j < end; j++) {
+        int64_t i = order[j];
+        limit = most(limit, row[i] < 0 ? INFINITY : bound[i] + travel(body, stretch_at(some->motions, some->n, i)));
+    }
+    return limit;
+}
+
+/* Bounds of stretches for one body; bound, row: out, (n,). For work and indices see `optdock_advance_bounds`. Obstacles
+ * that certainly are farther than all others that matter are excluded by one circle. */
 static int bounds_of_body(const Body *body, const Stretches *some, const Obstacles *all, double *bound, int64_t *row,
                           Pairs *pairs, double *work, int64_t *indices)
 {
     int64_t n = some->n, k = some->k, m = all->m;
-    double *gaps = work, *points = work + 4 * m, *centres = points + 2 * (body->corners + all->q);
-    Gap *exact = (Gap *)(work + m);
-    int64_t *pair_of = indices, *order = indices + m, *first = order + n;
+    double *squared = work, *points = work + m, *centres = points + 2 * (body->corners + all->q);
+    int64_t *is_left = indices, *order = indices + m, *first = order + n;
 
     if (!group_by_pose(n, k, some->pose, first, order))
         return 0;
     for (int64_t p = 0; p < k; p++) {
         Pose at = {some->poses[3 * p], some->poses[3 * p + 1], some->turned[2 * p], some->turned[2 * p + 1]};
-        double farthest = -INFINITY;
-        for (int64_t j = first[p]; j < first[p + 1]; j++)
-            farthest = most(farthest, some->within[order[j]] + travel(body, stretch_at(some->motions, n, order[j])));
-        broad_gaps(body, at, all, gaps, centres);
-        int64_t here = 0;
-        for (int64_t o = 0; o < m; o++) {
-            pair_of[o] = -1;
-            if (gaps[o] >= farthest)
-                continue;
-            Piece piece = piece_at(all, o);
-            exact[here] = separation(body, at, &piece, points);
-            pairs->distance[pairs->count] = exact[here].distance;
-            pairs->pose[pairs->count] = p;
-            pairs->obstacle[pairs->count++] = o;
-            pair_of[o] = here++;
-        }
+        double farthest = -INFINITY, reach = reach_around(body, at.x, at.y);
         for (int64_t j = first[p]; j < first[p + 1]; j++) {
-            int64_t i = order[j];
-            bound[i] = bound_of(body, at, stretch_at(some->motions, n, i), m, gaps, pair_of, exact, row + i);
+            farthest = most(farthest, some->within[order[j]] + travel(body, stretch_at(some->motions, n, order[j])));
+            row[order[j]] = -1;
+        }
+        place_circles(body, at, centres);
+        squared_distances(body, centres, all, squared);
+        for (int64_t o = 0; o < m; o++) {
+            is_left[o] = is_beyond(squared[o], farthest, reach);
+            if (is_left[o])
+                continue;
+            double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
+            int is_exact = !(gap >= farthest);
+            Gap exact = {0.0, 0.0, 0.0};
+            if (is_exact) {
+                Piece piece = piece_at(all, o);
+                exact = separation(body, at, &piece, points);
+                pairs->distance[pairs->count] = exact.distance;
+                pairs->pose[pairs->count] = p;
+                pairs->obstacle[pairs->count++] = o;
+            }
+            for (int64_t j = first[p]; j < first[p + 1]; j++) {
+                int64_t i = order[j];
+                Stretch motion = stretch_at(some->motions, n, i);
+                double lowest = gap - travel(body, motion);
+                if (is_exact)
+                    lowest = least(exact.distance, exact.distance + directional(body, at, motion, exact) -
+                                                       stray(body, motion)); /* (C5) */
+                keep_least(lowest, o, bound + i, row + i);
+            }
+        }
+        double limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
+        for (int64_t o = 0; o < m; o++) {
+            if (!is_left[o] || is_beyond(squared[o], limit, reach))
+                continue;
+            double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
+            for (int64_t j = first[p]; j < first[p + 1]; j++) {
+                int64_t i = order[j];
+                keep_least(gap - travel(body, stretch_at(some->motions, n, i)), o, bound + i, row + i);
+            }
+            limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
         }
     }
     return 1;
@@ -335,7 +388,7 @@ static Body body_at(int64_t corners, int64_t circles, double radius, double reac
  *   vertices, normals (m, q, 2), offsets (m, q), lower, upper (m, 2) of the obstacles
  *   bound      out, (n,) [m]; row: out, (n,)
  *   distance   out, (k m,) [m], of the pairs that were evaluated exactly, with their pose_of and obstacle_of (k m,)
- *   work       4 m + 2 (corners + q + circles) numbers; indices: m + n + k + 1
+ *   work       m + 2 (corners + q + circles) numbers; indices: m + n + k + 1
  *
  * Return the number of pairs, or -1 if an index is out of range. */
 int64_t optdock_advance_bounds(int64_t n, int64_t k, int64_t m, int64_t corners, int64_t q, int64_t circles,
@@ -376,9 +429,11 @@ int64_t optdock_clearances(int64_t n, int64_t m, int64_t bodies, int64_t q, int6
             Body body = body_at(body_sizes[2 * b], body_sizes[2 * b + 1], arrays[0], arrays[1], arrays + 2);
             double smallest = INFINITY, known = best[i];
             int64_t likely = 0, row = 0;
-            broad_gaps(&body, at, &all, gaps, centres);
-            for (int64_t o = 1; o < m; o++)
+            place_circles(&body, at, centres);
+            for (int64_t o = 0; o < m; o++) {
+                gaps[o] = broad_gap(&body, centres, lower + 2 * o, upper + 2 * o);
                 likely = gaps[o] < gaps[likely] ? o : likely;
+            }
             if (gaps[likely] < known || !(gaps[likely] > 0.0)) { /* a bound that prunes most of the others */
                 Piece piece = piece_at(&all, likely);
                 known = least(known, separation(&body, at, &piece, points).distance);
@@ -649,7 +704,7 @@ static int touches(const int64_t *bad, const double *s, int64_t k, int64_t first
  *   needed     out, (k + 1,): required clearance at the poses, and the smallest distance of the pairs [m]
  *   pair_of    out, (2, k m bodies), pose and obstacle of the pairs that were evaluated exactly; distances: (k m bodies,)
  *   counts     out, (2,): pairs, and those that violate the rule
- *   work       22 n + 4 m + 2 (corners + q + circles) numbers; indices: 6 n + m + 2 k + 1
+ *   work       22 n + m + 2 (corners + q + circles) numbers; indices: 6 n + m + 2 k + 1
  *
  * Return 0, or -1 if an index is out of range. */
 int64_t optdock_clearance_round(

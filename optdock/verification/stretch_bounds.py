@@ -153,7 +153,7 @@ def _body_bounds_native(
         (distance, k * m),
         (found[0], k * m),
         (found[1], k * m),
-        (np.empty(size := 4 * m + 2 * (corners + q + circles)), size),
+        (np.empty(size := m + 2 * (corners + q + circles)), size),
         (np.empty(size := m + n + k + 1, dtype=np.int64), size),
     )
     pairs = _KERNEL((n, k, m, corners, q, circles), (bounded.radius, bounded.reach), arrays)
