@@ -22,7 +22,7 @@ from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
 from optdock.planners.manoeuvres import distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
-from optdock.verification import certify_path, clearance_rounds, proximity, stretch_bounds
+from optdock.verification import certify_path, clearance_rounds, compiled_clearances, stretch_bounds
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp.collision import clearance_along, linearization
 
@@ -40,7 +40,7 @@ _BUDGET = 3.0  # [s] of CPU time
 _KERNELS = {
     "bounds of the proof": (stretch_bounds, "_body_bounds_chosen"),
     "round of the proof": (clearance_rounds, "_round_chosen"),
-    "clearances of ends": (proximity, "_of_pieces_chosen"),
+    "clearances of ends": (compiled_clearances, "_of_pieces_chosen"),
     "clearance along a roll-out": (clearance_along, "_along"),
     "witness points": (linearization, "_witnesses"),
     "disc states": (free_space, "disc_states"),

@@ -18,6 +18,7 @@ import numpy as np
 
 from optdock.deadline import never_late
 from optdock.verification.clearance_rounds import Near, Rule, World, clearance_round, from_both_ends
+from optdock.verification.compiled_clearances import compiled_clearances
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
 from optdock.verification.motion_bounds import Cells, PathMotion, divided, first_cells
 from optdock.verification.proximity import bounded, pose_clearances
@@ -107,7 +108,7 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
     attained = at_end = -np.inf
     if sharp or begun is None:
         ends = np.stack((problem.start.as_array(), path.end.as_array()))
-        clearances, _ = pose_clearances(ends, footprint, obstacles)
+        clearances, _ = compiled_clearances(ends, footprint, obstacles)
         attained = at_end = float(clearances[1])
         if begun is None:
             begun, attained = Begun(problem.start, float(clearances[0])), float(clearances.min())

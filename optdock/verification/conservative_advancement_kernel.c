@@ -1,5 +1,5 @@
 /* The proof of clearance: bounds over stretches of motion and rounds of cells (`conservative_advancement.py`), cells and
- * their ends (`motion_bounds.py`), and clearances of poses (`proximity.py`) in C. Equation numbers are those of
+ * their ends (`motion_bounds.py`), and clearances of poses (`compiled_clearances.py`) in C. Equation numbers are those of
  * docs/theory/certificate.md.
  *
  * Every sum and product is evaluated in the order of the twin, and angles enter as the sines and cosines that NumPy has
@@ -405,7 +405,8 @@ int64_t optdock_advance_bounds(int64_t n, int64_t k, int64_t m, int64_t corners,
     return bounds_of_body(&body, &some, &all, bound, row, &pairs, work, indices) ? pairs.count : -1;
 }
 
-/* Signed clearances of n poses among m obstacles, and the first obstacle that attains each; see `_of_pieces`.
+/* Signed clearances of n poses among m obstacles, and the first obstacle that attains each; see
+ * `of_pieces` of `proximity.py`.
  *
  *   sizes      n, m, bodies, q, largest numbers of corners and circles of a body
  *   body_sizes (bodies, 2): corners and circles; bodies: radius, reach and the arrays of `body_at` of each body

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import frozen, readonly
+from optdock.geometry.arrays import frozen
 from optdock.geometry.obstacles import box_distance
 from optdock.geometry.pose import transform_points
-from optdock.geometry.separation import separation, skips_edges
-from optdock.kernels import Kernel, twin_of
+from optdock.geometry.separation import separation
 from optdock.verification.certificate import Memo
 from optdock.verification.contact_tolerance import DEPTH, deepest
 
@@ -36,7 +35,8 @@ __all__ = [
     "bounded_footprint",
     "broad_phase",
     "end_clearances",
-    "packed_footprint",
+    "lower_where_deep",
+    "of_pieces",
     "pose_clearance",
     "pose_clearances",
 ]
@@ -93,61 +93,22 @@ def pose_clearances(
         checks_unions: Whether overlaps that are shallow for every piece are checked for deep overlaps of the unions,
             see `contact_tolerance`. A search for guesses, which are certified afterwards, can omit this check.
     """
-    best, row = _of_pieces(poses, footprint, obstacles, within)
+    best, row = of_pieces(poses, footprint, obstacles, within)
     if checks_unions:
-        for shallow in np.flatnonzero((best < 0.0) & (best > -DEPTH)).tolist():
-            best[shallow] = min(best[shallow], deepest(footprint, poses[shallow], obstacles))
+        lower_where_deep(best, poses, footprint, obstacles)
     return best, row
 
 
-def _of_pieces(
+def lower_where_deep(clearances: FloatArray, poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> None:
+    """Lower those clearances, Shape (n,), that are shallow overlaps for every piece but deep ones of the unions."""
+    for shallow in np.flatnonzero((clearances < 0.0) & (clearances > -DEPTH)).tolist():
+        clearances[shallow] = min(clearances[shallow], deepest(footprint, poses[shallow], obstacles))
+
+
+def of_pieces(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of `pose_clearances` without the check of unions."""
-    corners = obstacles.vertices.shape[1]
-    has_many = any(skips_edges(len(one.vertices), corners) for one in footprint.bodies)
-    by_numpy = has_many or len(obstacles) == 0 or len(poses) == 0
-    return (_of_pieces_numpy if by_numpy else _of_pieces_chosen)(poses, footprint, obstacles, within)
-
-
-_KERNEL = Kernel("optdock_clearances", sizes=6, numbers=0)
-
-
-def _of_pieces_native(
-    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
-) -> tuple[FloatArray, IntArray]:
-    """Return the result of `_of_pieces_numpy`, computed in C; its arrays are described there."""
-    robot, n, m, q = packed_footprint(footprint), len(poses), len(obstacles), obstacles.vertices.shape[1]
-    best, row, turned = np.full(n, float(within)), np.empty(n, dtype=np.int64), np.empty((n, 2))
-    turned[:, 0], turned[:, 1] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    arrays = (
-        (robot.sizes, robot.sizes.size),
-        (robot.numbers, robot.numbers.size),
-        (np.ascontiguousarray(poses), 3 * n),
-        (turned, 2 * n),
-        (obstacles.vertices, 2 * m * q),
-        (obstacles.normals, 2 * m * q),
-        (obstacles.offsets, m * q),
-        (obstacles.lower, 2 * m),
-        (obstacles.upper, 2 * m),
-        (best, n),
-        (row, n),
-        (np.empty(size := m + 2 * (robot.corners + q + robot.circles)), size),
-    )
-    _KERNEL((n, m, len(robot.sizes), q, robot.corners, robot.circles), (), arrays)
-    return best, row
-
-
-@twin_of(_of_pieces_native)
-def _of_pieces_chosen(
-    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
-) -> tuple[FloatArray, IntArray]:
-    return _of_pieces_numpy(poses, footprint, obstacles, within)
-
-
-def _of_pieces_numpy(
-    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
-) -> tuple[FloatArray, IntArray]:
     reach = footprint.circumscribed_radius + min(within, _NEARBY)
     rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
     if rows.size < 0.5 * len(obstacles) and np.all(np.isfinite(poses)):
@@ -204,29 +165,6 @@ def bounded(bodies: tuple[ConvexBody, ...]) -> tuple[BoundedBody, ...]:
 def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
     """Return the convex pieces of a footprint with their bounding circles, cached."""
     return frozen(bounded(footprint.bodies))
-
-
-class PackedFootprint(NamedTuple):
-    """The convex pieces of a footprint in the form for kernels.
-
-    `sizes`: numbers of corners and circles of each, Shape (k, 2). `numbers`: radius, reach, vertices, normals, offsets
-    and centres of each, one after the other. `corners`, `circles`: the largest numbers.
-    """
-
-    sizes: IntArray
-    numbers: FloatArray
-    corners: int
-    circles: int
-
-
-@functools.lru_cache(maxsize=64)
-def packed_footprint(footprint: Footprint) -> PackedFootprint:
-    """Return `bounded_footprint` in the form for kernels, cached."""
-    bodies = bounded_footprint(footprint)
-    sizes = np.array([(len(one.body.vertices), len(one.centres)) for one in bodies])
-    parts = [((one.radius, one.reach), *one.body, one.centres) for one in bodies]
-    numbers = np.concatenate([np.ravel(part) for body in parts for part in body])
-    return PackedFootprint(readonly(sizes), readonly(numbers), int(sizes[:, 0].max()), int(sizes[:, 1].max()))
 
 
 def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
