@@ -187,6 +187,13 @@ class Kernel:
         function.restype = ctypes.c_int64
         return function
 
+    def _with_types(self, arrays: int) -> ctypes._NamedFuncPointer:
+        """Return the function with the types of its arguments, which are set by the first call."""
+        function = self._function
+        if not function.argtypes:
+            function.argtypes = (*self._kinds[0], *self._kinds[1], *(ctypes.c_void_p,) * arrays)
+        return function
+
     def __call__(
         self,
         sizes: tuple[int, ...],
@@ -203,15 +210,28 @@ class Kernel:
         Raises:
             ValueError: If an array is not a contiguous array of doubles or int64, or has another number of elements.
         """
+        if (len(sizes), len(numbers)) != (len(self._kinds[0]), len(self._kinds[1])):
+            raise ValueError(f"{self._symbol}: {len(sizes)} sizes and {len(numbers)} numbers")
         addresses = []
         for i, (array, count) in enumerate(arrays):
             if not array.flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
                 told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
                 raise ValueError(f"{self._symbol}: array {i} must be contiguous with {count} elements, got {told}")
-            addresses.append(ctypes.c_void_p(array.ctypes.data))
-        counts = [kind(value) for kind, value in zip(self._kinds[0], sizes, strict=True)]
-        values = [kind(value) for kind, value in zip(self._kinds[1], numbers, strict=True)]
-        return int(self._function(*counts, *values, *addresses))
+            addresses.append(_address(array))
+        return int(self._with_types(len(arrays))(*sizes, *numbers, *addresses))
+
+
+def _address(array: NDArray[np.float64] | NDArray[np.int64]) -> int | bytes:
+    """Return the address of a contiguous array, or the `bytes` object that contains exactly its elements.
+
+    `ctypes` passes the address of a `bytes` object. `array.ctypes` takes four times as long as each of the two others.
+    """
+    base: object = array.base
+    if type(base) is bytes and len(base) == array.nbytes:  # see `geometry.arrays.readonly`
+        return base
+    if array.flags.writeable and array.size:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
+    return array.ctypes.data
 
 
 def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:

@@ -23,7 +23,7 @@ from optdock.model.path import Path
 from optdock.planners.manoeuvres import distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.timing import interior_point
-from optdock.verification import certify_path, conservative_advancement, trajectory_rules
+from optdock.verification import certify_path, clearance_rounds, compiled_clearances, stretch_bounds, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp.collision import clearance_along, linearization
 
@@ -39,7 +39,9 @@ EASY = ("open_s", "reverse_cusp", "pillar", "collision", "angled_hexagon", "long
 _BUDGET = 3.0  # [s] of CPU time
 # Modules and names by which each kernel is called.
 _KERNELS = {
-    "bounds of the proof": (conservative_advancement, "_body_bounds_chosen"),
+    "bounds of the proof": (stretch_bounds, "_body_bounds_chosen"),
+    "round of the proof": (clearance_rounds, "_round_chosen"),
+    "clearances of ends": (compiled_clearances, "_of_pieces_chosen"),
     "clearance along a roll-out": (clearance_along, "_along"),
     "witness points": (linearization, "_witnesses"),
     "disc states": (free_space, "disc_states"),

@@ -16,9 +16,10 @@ from optdock.kernels import using_kernels
 from optdock.verification import (
     certificate,
     certify,
-    conservative_advancement,
+    clearance_rounds,
     motion_bounds,
     path_rules,
+    stretch_bounds,
     trajectory_rules,
     turning_rules,
     visibility,
@@ -153,8 +154,8 @@ def _one_edge(honest: Callable[..., Any]) -> Callable[..., Any]:
 
 
 PLANTS: dict[str, Plant] = {
-    "tolerance_x5": Plant(conservative_advancement, "TOLERANCE", _five_times),
-    "first_order_centimetre": Plant(conservative_advancement, "_directional", _centimetre_more),
+    "tolerance_x5": Plant(clearance_rounds, "TOLERANCE", _five_times),
+    "first_order_centimetre": Plant(stretch_bounds, "_directional", _centimetre_more),
     "dropped_obstacle": Plant(certify, "prove_clearance", _one_obstacle_less),
     "dropped_map_cell": Plant(certify, "prove_clearance", _one_map_cell_less),
     "dropped_new_obstacle": Plant(

@@ -24,6 +24,7 @@ __all__ = ["ClothoidSpline", "subdivided"]
 # length on an arc: error <= length * turn^10 * (5!)^4 / (11 * (10!)^3), [Abramowitz1964] eq. 25.4.30. If the curvature
 # changes sign within the cell, the tenth derivative is larger, but the error stays below 1e-9 of the length.
 _NODES, _WEIGHTS = map(readonly, np.polynomial.legendre.leggauss(5))
+_PLACES = readonly(1.0 + _NODES)  # in halves of a cell
 _MAX_TURN_PER_CELL = 0.5
 _MAX_CELLS = 100_000
 
@@ -98,9 +99,9 @@ class ClothoidSpline(FrozenArrays):
         kappa = np.interp(self._breaks, self.knots, self.curvature)
         yaw = self.start.yaw + np.concatenate(([0.0], np.cumsum(0.5 * steps * (kappa[:-1] + kappa[1:]))))
         rate = np.diff(kappa) / steps
-        moves = _displacements(steps, yaw[:-1], kappa[:-1], rate)
-        x = self.start.x + self.sign * np.concatenate(([0.0], np.cumsum(moves[:, 0])))
-        y = self.start.y + self.sign * np.concatenate(([0.0], np.cumsum(moves[:, 1])))
+        along, across = _displacements(steps, yaw[:-1], kappa[:-1], rate)
+        x = self.start.x + self.sign * np.concatenate(([0.0], np.cumsum(along)))
+        y = self.start.y + self.sign * np.concatenate(([0.0], np.cumsum(across)))
         return np.column_stack((x, y, yaw, kappa))
 
     def __repr__(self) -> str:
@@ -114,13 +115,15 @@ class ClothoidSpline(FrozenArrays):
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Return the poses at arc lengths `s`, Shape (n,) [m], clipped to the curve. Shape (n, 3)."""
-        points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
-        cell = np.searchsorted(self._breaks[1:-1], points, side="right")
+        points = np.minimum(np.maximum(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0), self.length)
+        cell = self._breaks[1:-1].searchsorted(points, side="right")
         base, step = self._break_states[cell], points - self._breaks[cell]
-        rate = self._cell_rates[cell]
-        move = _displacements(step, base[:, 2], base[:, 3], rate)
-        yaw = base[:, 2] + step * (base[:, 3] + 0.5 * step * rate)
-        return np.column_stack((base[:, 0] + self.sign * move[:, 0], base[:, 1] + self.sign * move[:, 1], yaw))
+        rate, poses = self._cell_rates[cell], np.empty((points.size, 3))
+        x, y = _displacements(step, base[:, 2], base[:, 3], rate)
+        poses[:, 0] = base[:, 0] + self.sign * x
+        poses[:, 1] = base[:, 1] + self.sign * y
+        poses[:, 2] = base[:, 2] + step * (base[:, 3] + 0.5 * step * rate)
+        return poses
 
     @functools.cached_property
     def _cell_rates(self) -> FloatArray:
@@ -155,9 +158,11 @@ class ClothoidSpline(FrozenArrays):
         return Pose2.from_sequence(self._break_states[-1, :3])
 
 
-def _displacements(step: FloatArray, yaw: FloatArray, curvature: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the integrals of (cos, sin) of the quadratic heading over each step. Shape (n, 2) [m]."""
-    u = 0.5 * step[:, None] * (1.0 + _NODES)
-    theta = yaw[:, None] + u * (curvature[:, None] + 0.5 * u * rate[:, None])
+def _displacements(
+    step: FloatArray, yaw: FloatArray, curvature: FloatArray, rate: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals of the cosine and the sine of the quadratic heading over each step, Shape (n,) [m] each."""
     half = 0.5 * step
-    return np.column_stack((half * (np.cos(theta) @ _WEIGHTS), half * (np.sin(theta) @ _WEIGHTS)))
+    u = half[:, None] * _PLACES
+    theta = yaw[:, None] + u * (curvature[:, None] + 0.5 * u * rate[:, None])
+    return half * (np.cos(theta) @ _WEIGHTS), half * (np.sin(theta) @ _WEIGHTS)

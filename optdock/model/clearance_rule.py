@@ -99,9 +99,14 @@ class ClearanceRule:
     @staticmethod
     def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
         """Return a requirement that grows from the start clearance, or from a lower value beyond `start_relief`."""
-        kept = max(0.0, start_clearance)
-        least = kept if start_relief == 0.0 else _relieved(kept)
+        least = ClearanceRule.least_leaving(start_clearance, start_relief)
         return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
+
+    @staticmethod
+    def least_leaving(start_clearance: float, start_relief: float = 0.0) -> float:
+        """Return the smallest requirement of `leaving` [m], which is that at the start."""
+        kept = max(0.0, start_clearance)
+        return kept if start_relief == 0.0 else _relieved(kept)
 
     def undocking(self, from_start: FloatArray) -> FloatArray:
         """Return the clearance required by `at_start` at distances from the start, Shape (n,) [m]; inf if None."""

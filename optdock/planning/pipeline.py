@@ -65,7 +65,7 @@ from optdock.planning.refinement import (
 from optdock.plugins.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.outcomes import Guess
 from optdock.plugins.registry import PluginChoice, plugin_from
-from optdock.verification import pose_clearances
+from optdock.verification import compiled_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -505,7 +505,7 @@ class _Portfolio:
     def _overlapping(self, path: Path) -> float:
         """Return the share of the sampled poses of a guess that lie in obstacles."""
         poses = path.poses_at(np.linspace(0.0, path.length, _SAMPLES))
-        clearances, _ = pose_clearances(poses, self.problem.robot.footprint, self.problem.all_obstacles, within=0.1)
+        clearances, _ = compiled_clearances(poses, self.problem.robot.footprint, self.problem.all_obstacles, within=0.1)
         return float(np.mean(clearances < 0.0))
 
     def _fail(self, failure: Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:

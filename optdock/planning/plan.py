@@ -28,7 +28,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import Trajectory
 from optdock.planners.manoeuvres.price import price_of
 from optdock.plugins.outcomes import SmoothingReport, TimingReport
-from optdock.verification import ProvenMotion, end_clearances, pose_clearances, prove_motion
+from optdock.verification import ProvenMotion, compiled_clearances, end_clearances, prove_motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -73,7 +73,7 @@ def tightest_place(
     s, poses = s[required_here >= required], poses[required_here >= required]
     if not s.size or not len(problem.all_obstacles):
         return None
-    clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within)
+    clearances, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, within)
     k = int(np.argmin(clearances))
     if not clearances[k] < within:
         return None

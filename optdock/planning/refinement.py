@@ -53,8 +53,8 @@ from optdock.plugins.registry import create_plugin
 from optdock.verification import (
     certify_motion,
     certify_path,
+    compiled_clearances,
     end_clearances,
-    pose_clearances,
     prove_motion,
     where_broken,
 )
@@ -137,7 +137,7 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     if not is_straight[0]:
         return 0.0
     poses = poses[: len(poses) if is_straight.all() else int(is_straight.argmin())]
-    clearances, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)
+    clearances, _ = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)
     is_clear = clearances > _CONTACT
     return float(stations[is_clear.argmax()]) if is_clear.any() else 0.0
 

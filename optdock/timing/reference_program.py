@@ -171,7 +171,7 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
     limits = bounds.limits
     total = float(profile.time[-1])
     times = _spread(total, max(2, int(total / _CRUISE_SAMPLE)))
-    x = np.interp(times, profile.time, profile.speed_squared)
+    x: FloatArray = np.interp(times, profile.time, profile.speed_squared)
     for limit in limits.turning:
         at_nodes = limit.at_constant_speed(profile.speed_squared[1:], limits.steepest)
         turning = np.interp(times, profile.time[1:], at_nodes)

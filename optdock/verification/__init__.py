@@ -15,6 +15,7 @@ from optdock.verification.certificate import (
     where_broken,
 )
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
+from optdock.verification.compiled_clearances import compiled_clearances
 from optdock.verification.proven_motion import (
     ProvenMotion,
     ProvenWay,
@@ -40,6 +41,7 @@ __all__ = [
     "certify_motion",
     "certify_path",
     "certify_trajectory",
+    "compiled_clearances",
     "end_clearances",
     "pose_clearance",
     "pose_clearances",

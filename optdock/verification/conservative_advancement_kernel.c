@@ -1,5 +1,6 @@
-/* Lower bounds of the clearance of one convex body over stretches of motion: the function `_body_bounds` of
- * `conservative_advancement.py` in C. Equation numbers are those of docs/theory/certificate.md.
+/* The proof of clearance: bounds over stretches of motion and rounds of cells (`conservative_advancement.py`), cells and
+ * their ends (`motion_bounds.py`), and clearances of poses (`compiled_clearances.py`) in C. Equation numbers are those of
+ * docs/theory/certificate.md.
  *
  * Every sum and product is evaluated in the order of the twin, and angles enter as the sines and cosines that NumPy has
  * computed, so the results are equal to the last bit. A NaN is kept by every minimum and maximum and ends as a bound of
@@ -144,14 +145,20 @@ static Gap separation(const Body *body, Pose at, const Piece *piece, double *wor
     return other.distance > best.distance ? other : best;
 }
 
+/* Distance of a coordinate from an interval, 0 within; NaN if the coordinate is. */
+static double outside(double x, double lower, double upper)
+{
+    double farther = lower - x > x - upper ? lower - x : x - upper;
+    return farther < 0.0 ? 0.0 : farther;
+}
+
 /* Lower bound of the distance of a body from the box (lower, upper) of an obstacle, by the body's circles. */
 static double broad_gap(const Body *body, const double *circles, const double *lower, const double *upper)
 {
     double nearest = INFINITY; /* squared; the square root is monotonic, so one at the end suffices */
     for (int64_t i = 0; i < body->circles; i++) {
         double x = circles[2 * i], y = circles[2 * i + 1];
-        double across = most(most(lower[0] - x, x - upper[0]), 0.0);
-        double along = most(most(lower[1] - y, y - upper[1]), 0.0);
+        double across = outside(x, lower[0], upper[0]), along = outside(y, lower[1], upper[1]);
         nearest = least(nearest, across * across + along * along);
     }
     return sqrt(nearest) - body->radius;
@@ -212,34 +219,168 @@ static int group_by_pose(int64_t n, int64_t k, const int64_t *pose, int64_t *fir
     return 1;
 }
 
-/* Bound of a stretch over all obstacles, and the first obstacle that attains it. */
-static double bound_of(const Body *body, Pose at, Stretch motion, int64_t m, const double *gaps,
-                       const int64_t *pair_of, const Gap *exact, int64_t *row)
+/* The obstacles of a proof: rows (m,), those that are evaluated, of the arrays (., q, 2), (., q) and (., 2). */
+typedef struct {
+    int64_t m, q;
+    const int64_t *rows; /* null: the first m */
+    const double *vertices, *normals, *offsets, *lower, *upper;
+} Obstacles;
+
+static int64_t row_of(const Obstacles *all, int64_t o) { return all->rows ? all->rows[o] : o; }
+
+static Piece piece_at(const Obstacles *all, int64_t o)
 {
-    double by_travel = travel(body, motion), by_stray = stray(body, motion), best = 0.0;
-    for (int64_t o = 0; o < m; o++) {
-        double bound;
-        if (pair_of[o] < 0) {
-            bound = gaps[o] - by_travel;
-        } else {
-            Gap gap = exact[pair_of[o]];
-            bound = least(gap.distance, gap.distance + directional(body, at, motion, gap) - by_stray); /* (C5) */
+    int64_t at = all->q * row_of(all, o);
+    return (Piece){all->q, all->vertices + 2 * at, all->normals + 2 * at, all->offsets + at};
+}
+
+/* Centres of the body's circles at a pose; out, (circles, 2). */
+static void place_circles(const Body *body, Pose at, double *centres)
+{
+    for (int64_t i = 0; i < body->circles; i++) {
+        double x = body->centres[2 * i], y = body->centres[2 * i + 1];
+        centres[2 * i] = at.x + at.c * x - at.s * y;
+        centres[2 * i + 1] = at.y + at.s * x + at.c * y;
+    }
+}
+
+/* Keep the smallest bound of a stretch, and the first obstacle that attains it; a row of -1 is none. */
+static void keep_least(double candidate, int64_t o, double *bound, int64_t *row)
+{
+    if (candidate != candidate)
+        candidate = -INFINITY; /* NaN is no proof */
+    if (*row < 0 || candidate < *bound || (candidate == *bound && o < *row)) {
+        *bound = candidate;
+        *row = o;
+    }
+}
+
+/* Whether a squared distance certainly exceeds `limit` by more than `reach`; NaN does not. */
+static int is_beyond(double squared, double limit, double reach)
+{
+    double far = limit + reach;
+    return squared >= 0.0 && (far < 0.0 || squared > far * far);
+}
+
+/* The pairs that were evaluated exactly, (pairs,): pose, obstacle and distance [m] of each. */
+typedef struct {
+    int64_t count, *pose, *obstacle;
+    double *distance;
+} Pairs;
+
+/* n stretches from k poses: pose (n,); motions (8, n), see `stretch_at`; within (n,) [m], see `advance_bounds`. */
+typedef struct {
+    int64_t n, k;
+    const double *poses, *turned;
+    const int64_t *pose;
+    const double *motions, *within;
+} Stretches;
+
+/* A circle around all circles of a body: its centre is that of the middle one. Return its radius [m], with a margin for
+ * rounding at coordinates of the size of (x, y). */
+static double reach_around(const Body *body, double x, double y)
+{
+    const double *middle = body->centres + 2 * (body->circles / 2);
+    double away = 0.0;
+    for (int64_t i = 0; i < body->circles; i++)
+        away = most(away, hypot(body->centres[2 * i] - middle[0], body->centres[2 * i + 1] - middle[1]));
+    return body->radius + away + 1e-9 + 1e-14 * (fabs(x) + fabs(y));
+}
+
+/* Squared distances of the middle circle's centre from the boxes of the obstacles; out, (m,) [m^2]. */
+static void squared_distances(const Body *body, const double *centres, const Obstacles *all, double *squared)
+{
+    double x = centres[2 * (body->circles / 2)], y = centres[2 * (body->circles / 2) + 1];
+    for (int64_t o = 0; o < all->m; o++) {
+        const double *lower = all->lower + 2 * row_of(all, o), *upper = all->upper + 2 * row_of(all, o);
+        double across = outside(x, lower[0], upper[0]), along = outside(y, lower[1], upper[1]);
+        squared[o] = across * across + along * along;
+    }
+}
+
+/* Gap [m] above which no obstacle lowers the bounds of the stretches order[begin] to order[end - 1] any further. */
+static double limit_at(const Body *body, const Stretches *some, int64_t begin, int64_t end, const int64_t *order,
+                       const double *bound, const int64_t *row)
+{
+    double limit = -INFINITY;
+    for (int64_t j = begin; j < end; j++) {
+        int64_t i = order[j];
+        limit = most(limit, row[i] < 0 ? INFINITY : bound[i] + travel(body, stretch_at(some->motions, some->n, i)));
+    }
+    return limit;
+}
+
+/* Bounds of stretches for one body; bound, row: out, (n,). For work and indices see `optdock_advance_bounds`. Obstacles
+ * that certainly are farther than all others that matter are excluded by one circle. */
+static int bounds_of_body(const Body *body, const Stretches *some, const Obstacles *all, double *bound, int64_t *row,
+                          Pairs *pairs, double *work, int64_t *indices)
+{
+    int64_t n = some->n, k = some->k, m = all->m;
+    double *squared = work, *points = work + m, *centres = points + 2 * (body->corners + all->q);
+    int64_t *is_left = indices, *order = indices + m, *first = order + n;
+
+    if (!group_by_pose(n, k, some->pose, first, order))
+        return 0;
+    for (int64_t p = 0; p < k; p++) {
+        Pose at = {some->poses[3 * p], some->poses[3 * p + 1], some->turned[2 * p], some->turned[2 * p + 1]};
+        double farthest = -INFINITY, reach = reach_around(body, at.x, at.y);
+        for (int64_t j = first[p]; j < first[p + 1]; j++) {
+            farthest = most(farthest, some->within[order[j]] + travel(body, stretch_at(some->motions, n, order[j])));
+            row[order[j]] = -1;
         }
-        if (bound != bound)
-            bound = -INFINITY; /* NaN is no proof */
-        if (o == 0 || bound < best) {
-            best = bound;
-            *row = o;
+        place_circles(body, at, centres);
+        squared_distances(body, centres, all, squared);
+        for (int64_t o = 0; o < m; o++) {
+            is_left[o] = is_beyond(squared[o], farthest, reach);
+            if (is_left[o])
+                continue;
+            double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
+            int is_exact = !(gap >= farthest);
+            Gap exact = {0.0, 0.0, 0.0};
+            if (is_exact) {
+                Piece piece = piece_at(all, o);
+                exact = separation(body, at, &piece, points);
+                pairs->distance[pairs->count] = exact.distance;
+                pairs->pose[pairs->count] = p;
+                pairs->obstacle[pairs->count++] = o;
+            }
+            for (int64_t j = first[p]; j < first[p + 1]; j++) {
+                int64_t i = order[j];
+                Stretch motion = stretch_at(some->motions, n, i);
+                double lowest = gap - travel(body, motion);
+                if (is_exact)
+                    lowest = least(exact.distance, exact.distance + directional(body, at, motion, exact) -
+                                                       stray(body, motion)); /* (C5) */
+                keep_least(lowest, o, bound + i, row + i);
+            }
+        }
+        double limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
+        for (int64_t o = 0; o < m; o++) {
+            if (!is_left[o] || is_beyond(squared[o], limit, reach))
+                continue;
+            double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
+            for (int64_t j = first[p]; j < first[p + 1]; j++) {
+                int64_t i = order[j];
+                keep_least(gap - travel(body, stretch_at(some->motions, n, i)), o, bound + i, row + i);
+            }
+            limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
         }
     }
-    return best;
+    return 1;
+}
+
+/* A body whose arrays follow one another: vertices, normals (corners, 2), offsets (corners,), centres (circles, 2). */
+static Body body_at(int64_t corners, int64_t circles, double radius, double reach, const double *arrays)
+{
+    return (Body){corners, circles, radius, reach, arrays, arrays + 2 * corners, arrays + 4 * corners,
+                  arrays + 5 * corners};
 }
 
 /* Compute the bounds of n stretches from k poses among m >= 1 obstacles.
  *
  *   sizes      n, k, m, corners of the body, corners of the obstacles, circles of the body
  *   numbers    radius of the circles and reach of the body [m]
- *   body       vertices, normals (corners, 2), offsets (corners,), centres (circles, 2), one after the other
+ *   body       see `body_at`
  *   poses      (k, 3) [m, m, rad]; turned: (k, 2), cosine and sine of the headings
  *   pose       (n,), pose of every stretch
  *   motions    (8, n), see `stretch_at`
@@ -247,7 +388,7 @@ static double bound_of(const Body *body, Pose at, Stretch motion, int64_t m, con
  *   vertices, normals (m, q, 2), offsets (m, q), lower, upper (m, 2) of the obstacles
  *   bound      out, (n,) [m]; row: out, (n,)
  *   distance   out, (k m,) [m], of the pairs that were evaluated exactly, with their pose_of and obstacle_of (k m,)
- *   work       4 m + 2 (corners + q + circles) numbers; indices: 2 m + n + k + 1
+ *   work       m + 2 (corners + q + circles) numbers; indices: m + n + k + 1
  *
  * Return the number of pairs, or -1 if an index is out of range. */
 int64_t optdock_advance_bounds(int64_t n, int64_t k, int64_t m, int64_t corners, int64_t q, int64_t circles,
@@ -257,43 +398,395 @@ int64_t optdock_advance_bounds(int64_t n, int64_t k, int64_t m, int64_t corners,
                                const double *lower, const double *upper, double *bound, int64_t *row, double *distance,
                                int64_t *pose_of, int64_t *obstacle_of, double *work, int64_t *indices)
 {
-    Body body = {corners, circles, radius, reach, body_arrays, body_arrays + 2 * corners, body_arrays + 4 * corners,
-                 body_arrays + 5 * corners};
-    double *gaps = work, *points = work + 4 * m;
-    Gap *exact = (Gap *)(work + m);
-    double *centres = points + 2 * (corners + q);
-    int64_t *pair_of = indices, *order = indices + m, *first = order + n;
-    int64_t pairs = 0;
+    Body body = body_at(corners, circles, radius, reach, body_arrays);
+    Stretches some = {n, k, poses, turned, pose, motions, within};
+    Obstacles all = {m, q, 0, vertices, normals, offsets, lower, upper};
+    Pairs pairs = {0, pose_of, obstacle_of, distance};
+    return bounds_of_body(&body, &some, &all, bound, row, &pairs, work, indices) ? pairs.count : -1;
+}
 
-    if (!group_by_pose(n, k, pose, first, order))
-        return -1;
-    for (int64_t p = 0; p < k; p++) {
-        Pose at = {poses[3 * p], poses[3 * p + 1], turned[2 * p], turned[2 * p + 1]};
-        double farthest = -INFINITY;
-        for (int64_t j = first[p]; j < first[p + 1]; j++)
-            farthest = most(farthest, within[order[j]] + travel(&body, stretch_at(motions, n, order[j])));
-        for (int64_t i = 0; i < circles; i++) {
-            double x = body.centres[2 * i], y = body.centres[2 * i + 1];
-            centres[2 * i] = at.x + at.c * x - at.s * y;
-            centres[2 * i + 1] = at.y + at.s * x + at.c * y;
-        }
-        int64_t here = 0;
-        for (int64_t o = 0; o < m; o++) {
-            gaps[o] = broad_gap(&body, centres, lower + 2 * o, upper + 2 * o);
-            pair_of[o] = -1;
-            if (gaps[o] >= farthest)
-                continue;
-            Piece piece = {q, vertices + 2 * q * o, normals + 2 * q * o, offsets + q * o};
-            exact[here] = separation(&body, at, &piece, points);
-            distance[pairs] = exact[here].distance;
-            pose_of[pairs] = p;
-            obstacle_of[pairs++] = o;
-            pair_of[o] = here++;
-        }
-        for (int64_t j = first[p]; j < first[p + 1]; j++) {
-            int64_t i = order[j];
-            bound[i] = bound_of(&body, at, stretch_at(motions, n, i), m, gaps, pair_of, exact, row + i);
+/* Signed clearances of n poses among m obstacles, and the first obstacle that attains each; see
+ * `of_pieces` of `proximity.py`.
+ *
+ *   sizes      n, m, bodies, q, largest numbers of corners and circles of a body
+ *   body_sizes (bodies, 2): corners and circles; bodies: radius, reach and the arrays of `body_at` of each body
+ *   best       in and out, (n,) [m]: clearances that no obstacle attains, then the smaller ones of obstacles
+ *   nearest    out, (n,); -1 where no obstacle is closer than `best`
+ *   work       m + 2 (corners + q + circles) numbers
+ * The other arrays are those of `optdock_advance_bounds`. */
+int64_t optdock_clearances(int64_t n, int64_t m, int64_t bodies, int64_t q, int64_t corners, int64_t circles,
+                           const int64_t *body_sizes, const double *body_arrays, const double *poses,
+                           const double *turned, const double *vertices, const double *normals, const double *offsets,
+                           const double *lower, const double *upper, double *best, int64_t *nearest, double *work)
+{
+    Obstacles all = {m, q, 0, vertices, normals, offsets, lower, upper};
+    double *gaps = work, *points = work + m, *centres = points + 2 * (corners + q);
+    (void)circles;
+    for (int64_t i = 0; i < n; i++) {
+        Pose at = {poses[3 * i], poses[3 * i + 1], turned[2 * i], turned[2 * i + 1]};
+        const double *arrays = body_arrays;
+        nearest[i] = -1;
+        for (int64_t b = 0; b < bodies; b++) {
+            Body body = body_at(body_sizes[2 * b], body_sizes[2 * b + 1], arrays[0], arrays[1], arrays + 2);
+            double smallest = INFINITY, known = best[i];
+            int64_t likely = 0, row = 0;
+            place_circles(&body, at, centres);
+            for (int64_t o = 0; o < m; o++) {
+                gaps[o] = broad_gap(&body, centres, lower + 2 * o, upper + 2 * o);
+                likely = gaps[o] < gaps[likely] ? o : likely;
+            }
+            if (gaps[likely] < known || !(gaps[likely] > 0.0)) { /* a bound that prunes most of the others */
+                Piece piece = piece_at(&all, likely);
+                known = least(known, separation(&body, at, &piece, points).distance);
+            }
+            for (int64_t o = 0; o < m; o++) {
+                if (gaps[o] > known && gaps[o] > 0.0)
+                    continue;
+                Piece piece = piece_at(&all, o);
+                double distance = separation(&body, at, &piece, points).distance;
+                if (distance < smallest || (distance != distance && smallest == smallest)) {
+                    smallest = distance;
+                    row = o;
+                }
+                known = least(known, distance);
+            }
+            if (smallest < best[i])
+                nearest[i] = row;
+            best[i] = least(smallest, best[i]);
+            arrays += 2 + 5 * body.corners + 2 * body.circles;
         }
     }
-    return pairs;
+    return 0;
+}
+
+/* Cells, (n,) each: segment, first and last parameter. */
+typedef struct {
+    int64_t n, *segment;
+    double *first, *last;
+} Cells;
+
+/* Whether cell a lies before cell b on the path. */
+static int is_before(const Cells *cells, int64_t a, int64_t b)
+{
+    if (cells->segment[a] != cells->segment[b])
+        return cells->segment[a] < cells->segment[b];
+    if (cells->first[a] != cells->first[b])
+        return cells->first[a] < cells->first[b];
+    return cells->last[a] < cells->last[b];
+}
+
+static void sift_down(const Cells *cells, int64_t *order, int64_t root, int64_t count)
+{
+    for (int64_t child; (child = 2 * root + 1) < count; root = child) {
+        if (child + 1 < count && is_before(cells, order[child], order[child + 1]))
+            child++;
+        if (!is_before(cells, order[root], order[child]))
+            return;
+        int64_t swapped = order[root];
+        order[root] = order[child];
+        order[child] = swapped;
+    }
+}
+
+/* The order of the cells along the path, by heapsort. */
+static void sort_cells(const Cells *cells, int64_t *order)
+{
+    int64_t n = cells->n, is_sorted = 1;
+    for (int64_t i = 0; i < n; i++) {
+        order[i] = i;
+        is_sorted = is_sorted && (i == 0 || is_before(cells, i - 1, i));
+    }
+    if (is_sorted)
+        return;
+    for (int64_t i = n / 2 - 1; i >= 0; i--)
+        sift_down(cells, order, i, n);
+    for (int64_t i = n - 1; i > 0; i--) {
+        int64_t largest = order[0];
+        order[0] = order[i];
+        order[i] = largest;
+        sift_down(cells, order, 0, i);
+    }
+}
+
+/* Cells and their ends, as they are returned: whole (6, most): segment, work, end_segment in two rows, ends in two rows;
+ * numbers (4, most): first and last parameter, end_u in two rows. end_segment, end_u (2 most,): the distinct ends in
+ * order along the path; ends (2, n), the rows of the first and the last end of every cell. */
+static Cells cells_in(int64_t n, int64_t most_cells, int64_t *whole, double *numbers)
+{
+    return (Cells){n, whole, numbers, numbers + most_cells};
+}
+
+/* Set the ends of cells, and return their number. */
+static int64_t number_ends(const Cells *cells, int64_t most_cells, int64_t *whole, double *numbers)
+{
+    int64_t *order = whole + most_cells, *end_segment = whole + 2 * most_cells, *ends = whole + 4 * most_cells, k = 0;
+    double *end_u = numbers + 2 * most_cells;
+    sort_cells(cells, order);
+    for (int64_t i = 0; i < cells->n; i++) {
+        int64_t cell = order[i], segment = cells->segment[cell];
+        for (int side = 0; side < 2; side++) {
+            double u = side ? cells->last[cell] : cells->first[cell];
+            if (k == 0 || end_segment[k - 1] != segment || end_u[k - 1] != u) {
+                end_segment[k] = segment;
+                end_u[k++] = u;
+            }
+            ends[side * cells->n + cell] = k - 1;
+        }
+    }
+    return k;
+}
+
+/* Cells of at most `step` [m] that cover a path, without knots in their interiors; the last is divided into halves.
+ *
+ *   sizes     segments, knots in all, most cells
+ *   counts    (segments,), numbers of knots; knots: (knots,), those of all segments
+ *   whole, numbers: out, see `cells_in`; found: out, (2,): numbers of cells and of ends
+ *
+ * Return 0, or -1 if there are more cells. */
+int64_t optdock_first_cells(int64_t segments, int64_t knot_count, int64_t most_cells, double step,
+                            const int64_t *counts, const double *knots, int64_t *whole, double *numbers,
+                            int64_t *found)
+{
+    Cells cells = cells_in(0, most_cells, whole, numbers);
+    int64_t at = 0, n = 0;
+    for (int64_t i = 0; i < segments; at += counts[i++]) {
+        if (counts[i] < 2 || at + counts[i] > knot_count)
+            return -1;
+        for (int64_t j = at; j < at + counts[i] - 1; j++) {
+            double width = knots[j + 1] - knots[j], parts = ceil(width / step);
+            parts = parts > 1.0 ? parts : 1.0;
+            if (!(parts <= (double)(most_cells - 1 - n)))
+                return -1;
+            for (double rank = 0.0; rank < parts; rank += 1.0, n++) {
+                cells.segment[n] = i;
+                cells.first[n] = knots[j] + width * rank / parts;
+                cells.last[n] = rank + 1.0 < parts ? knots[j] + width * (rank + 1.0) / parts : knots[j + 1];
+            }
+        }
+    }
+    if (n == 0 || n >= most_cells)
+        return -1;
+    cells.segment[n] = cells.segment[n - 1];
+    cells.last[n] = cells.last[n - 1];
+    cells.first[n] = cells.last[n - 1] = cells.first[n - 1] + (cells.last[n - 1] - cells.first[n - 1]) * 0.5;
+    cells.n = n + 1;
+    found[0] = cells.n;
+    found[1] = number_ends(&cells, most_cells, whole, numbers);
+    return 0;
+}
+
+/* Divide some cells into equal parts: first all first parts, then all second parts, as `Cells.cut`.
+ *
+ *   sizes     cells, chosen cells, parts
+ *   segment, first, last (cells,); chosen: (chosen,), their rows
+ *   whole, numbers: out, see `cells_in`, with most = chosen parts
+ *
+ * Return the number of ends, or -1 if a row is out of range. */
+int64_t optdock_divided_cells(int64_t count, int64_t chosen_count, int64_t parts, const int64_t *segment,
+                              const double *first, const double *last, const int64_t *chosen, int64_t *whole,
+                              double *numbers)
+{
+    int64_t n = chosen_count * parts;
+    Cells cells = cells_in(n, n, whole, numbers);
+    for (int64_t j = 0; j < parts; j++) {
+        for (int64_t i = 0; i < chosen_count; i++) {
+            int64_t cell = chosen[i], at = j * chosen_count + i;
+            if (cell < 0 || cell >= count)
+                return -1;
+            double begin = first[cell], width = last[cell] - begin;
+            cells.segment[at] = segment[cell];
+            cells.first[at] = j == 0 ? begin : begin + width * ((double)j / (double)parts);
+            cells.last[at] = j + 1 < parts ? begin + width * ((double)(j + 1) / (double)parts) : last[cell];
+        }
+    }
+    return number_ends(&cells, n, whole, numbers);
+}
+
+/* The required clearance (C2): see `ClearanceRule.required_at`. */
+typedef struct {
+    double required, at_dock, taper, run; /* of the dock [m] */
+    double least, slope, relief;          /* of the start [m, 1, m] */
+    double at_start;                      /* [m]; NaN: not set */
+    double goal_x, goal_y, start_x, start_y;
+} Rule;
+
+static double tapered(const Rule *rule, double distance, double low)
+{
+    double beyond = most(distance - rule->run, 0.0), share;
+    if (rule->taper > 0.0)
+        share = least(beyond, rule->taper) / rule->taper;
+    else
+        share = beyond > 0.0 ? 1.0 : 0.0;
+    return low + (rule->required - low) * share;
+}
+
+static double required_at(const Rule *rule, double from_goal, double from_start)
+{
+    double near_start = rule->least + rule->slope * most(0.0, from_start - rule->relief);
+    if (rule->relief > 0.0 && rule->at_start == rule->at_start)
+        near_start = least(near_start, tapered(rule, from_start, rule->at_start));
+    return least(tapered(rule, from_goal, rule->at_dock), near_start);
+}
+
+/* The pieces of a path: for every segment kinds (2,), the number of knots and the gear, 0 for a turn in place; and the
+ * arrays (knots,) of all segments: knots [m], curvature there [1/m], curvature rate behind [1/m^2]. */
+typedef struct {
+    int64_t count;
+    const int64_t *kinds;
+    const double *knots, *curvature, *rates;
+} Pieces;
+
+/* The last knot below a parameter, at least the first; index into the arrays of `Pieces`. */
+static int64_t knot_before(const Pieces *path, int64_t segment, double u)
+{
+    int64_t low = 0, high;
+    for (int64_t i = 0; i < segment; i++)
+        low += path->kinds[2 * i];
+    high = low + path->kinds[2 * segment] - 2;
+    while (low < high) {
+        int64_t middle = (low + high + 1) / 2;
+        if (path->knots[middle] < u)
+            low = middle;
+        else
+            high = middle - 1;
+    }
+    return low;
+}
+
+/* Motion (C4) over the first half of a cell, from its first pose, and over the last half, backwards from its last. */
+static void halves(const Pieces *path, int64_t segment, double u0, double u1, const double *first_turned,
+                   const double *last_turned, Stretch *half)
+{
+    double sign = (double)path->kinds[2 * segment + 1], width = u1 - u0;
+    int64_t at = knot_before(path, segment, 0.5 * (u0 + u1));
+    if (sign == 0.0) {
+        double turn = path->curvature[at], size = fabs(turn);
+        half[0] = (Stretch){0.0, 0.0, turn, 0.5 * width, 0.0, size, 0.0, turn * turn};
+        half[1] = (Stretch){-0.0, -0.0, -turn, 0.5 * width, 0.0, size, 0.0, turn * turn};
+        return;
+    }
+    double rate = path->rates[at], begin = path->curvature[at] + rate * (u0 - path->knots[at]);
+    double end = begin + rate * width, turn = most(fabs(begin), fabs(end)), twist = fabs(rate) + turn * turn;
+    half[0] = (Stretch){sign * first_turned[0], sign * first_turned[1], begin, 0.5 * width, 1.0, turn, turn, twist};
+    half[1] = (Stretch){-(sign * last_turned[0]), -(sign * last_turned[1]), -end, 0.5 * width, 1.0, turn, turn, twist};
+}
+
+static void keep_stretch(double *motions, int64_t n, int64_t i, Stretch one)
+{
+    double values[8] = {one.x, one.y, one.yaw, one.width, one.speed, one.turn, one.bend, one.twist};
+    for (int64_t j = 0; j < 8; j++)
+        motions[j * n + i] = values[j];
+}
+
+/* Whether a pose that violates the rule, marked in bad (k,), lies within a cell; s: (k,), ascending [m]. */
+static int touches(const int64_t *bad, const double *s, int64_t k, int64_t first, int64_t last)
+{
+    double low = s[first] - 1e-9, high = s[last] + 1e-9;
+    for (int64_t p = first; p >= 0 && s[p] >= low; p--)
+        if (bad[p])
+            return 1;
+    for (int64_t p = first + 1; p < k && s[p] <= high; p++)
+        if (bad[p])
+            return 1;
+    return 0;
+}
+
+/* One round over n cells with k ends, among m >= 1 obstacles: `_round_numpy` of `clearance_rounds.py`.
+ *
+ *   sizes      n, k, m, bodies, q, largest number of corners and of circles of a body, segments, knots
+ *   attained   smallest clearance of a pose so far [m]; tolerance, sharpness [m]
+ *   segment    (n,); edges: (2, n), first and last parameters; ends: (2, n), rows of the ends
+ *   poses      (k, 3); turned: (k, 2); s: (k,), arc lengths [m]
+ *   kinds, pieces: see `Pieces`, (segments, 2) and (3, knots)
+ *   rule       (12,), see `Rule`
+ *   body_sizes, bodies: see `optdock_clearances`; rows, vertices ... upper: see `Obstacles`
+ *   cells      out, (3, n): bound, required clearance [m], arc length of the pose; places: out, (3, n): obstacle,
+ *              pose, and fate: 0 if a cell is proven and sharp, 1 if it contains a violation, 2 if it is open
+ *   needed     out, (k + 1,): required clearance at the poses, and the smallest distance of the pairs [m]
+ *   pair_of    out, (2, k m bodies), pose and obstacle of the pairs that were evaluated exactly; distances: (k m bodies,)
+ *   counts     out, (2,): pairs, and those that violate the rule
+ *   work       22 n + m + 2 (corners + q + circles) numbers; indices: 6 n + m + 2 k + 1
+ *
+ * Return 0, or -1 if an index is out of range. */
+int64_t optdock_clearance_round(
+    int64_t n, int64_t k, int64_t m, int64_t bodies, int64_t q, int64_t corners, int64_t circles, int64_t segments,
+    int64_t knots, double attained, double tolerance, double sharpness, const int64_t *segment, const double *edges,
+    const int64_t *ends, const double *poses, const double *turned, const double *s, const int64_t *kinds,
+    const double *pieces, const double *rule_numbers, const int64_t *body_sizes, const double *body_arrays,
+    const int64_t *rows, const double *vertices, const double *normals, const double *offsets, const double *lower,
+    const double *upper, double *cells, int64_t *places, double *needed, int64_t *pair_of, double *distances, int64_t *counts,
+    double *work, int64_t *indices)
+{
+    const double *g = rule_numbers;
+    Rule rule = {g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8], g[9], g[10], g[11]};
+    Pieces path = {segments, kinds, pieces, pieces + knots, pieces + 2 * knots};
+    Obstacles all = {m, q, rows, vertices, normals, offsets, lower, upper};
+    Pairs pairs = {0, pair_of, pair_of + k * m * bodies, distances};
+    double *motions = work, *within = work + 16 * n, *bound = within + 2 * n, *other = bound + 2 * n;
+    double *rest = other + 2 * n;
+    int64_t *bad = indices, *row = bad + k, *other_row = row + 2 * n, *more = other_row + 2 * n;
+    Stretches some = {2 * n, k, poses, turned, ends, motions, within};
+    (void)corners;
+    (void)circles;
+
+    for (int64_t i = 0; i < n; i++)
+        if (ends[i] < 0 || ends[i] >= k || ends[n + i] < 0 || ends[n + i] >= k || segment[i] < 0 ||
+            segment[i] >= segments)
+            return -1;
+    for (int64_t p = 0; p < k; p++) {
+        double x = poses[3 * p], y = poses[3 * p + 1];
+        needed[p] = required_at(&rule, hypot(x - rule.goal_x, y - rule.goal_y),
+                                hypot(x - rule.start_x, y - rule.start_y));
+        bad[p] = 0;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        const double *a = poses + 3 * ends[i], *b = poses + 3 * ends[n + i];
+        Stretch half[2];
+        halves(&path, segment[i], edges[i], edges[n + i], turned + 2 * ends[i], turned + 2 * ends[n + i], half);
+        double width = edges[n + i] - edges[i], sag = half[0].bend * (width * width) / 8.0; /* (C7) */
+        double goal = most(hypot(a[0] - rule.goal_x, a[1] - rule.goal_y), hypot(b[0] - rule.goal_x, b[1] - rule.goal_y));
+        double start =
+            most(hypot(a[0] - rule.start_x, a[1] - rule.start_y), hypot(b[0] - rule.start_x, b[1] - rule.start_y));
+        cells[n + i] = required_at(&rule, goal + sag, start + sag);
+        within[i] = within[n + i] = most(cells[n + i], attained);
+        keep_stretch(motions, 2 * n, i, half[0]);
+        keep_stretch(motions, 2 * n, n + i, half[1]);
+    }
+    const double *arrays = body_arrays;
+    for (int64_t b = 0; b < bodies; b++) {
+        Body body = body_at(body_sizes[2 * b], body_sizes[2 * b + 1], arrays[0], arrays[1], arrays + 2);
+        if (!bounds_of_body(&body, &some, &all, b ? other : bound, b ? other_row : row, &pairs, rest, more))
+            return -1;
+        for (int64_t i = 0; b && i < 2 * n; i++) {
+            if (!(bound[i] <= other[i])) {
+                bound[i] = other[i];
+                row[i] = other_row[i];
+            }
+        }
+        arrays += 2 + 5 * body.corners + 2 * body.circles;
+    }
+    double smallest = INFINITY;
+    counts[0] = pairs.count;
+    counts[1] = 0;
+    for (int64_t i = 0; i < pairs.count; i++) {
+        smallest = least(smallest, distances[i]);
+        if (distances[i] < needed[pairs.pose[i]] - tolerance) {
+            bad[pairs.pose[i]] = 1;
+            counts[1]++;
+        }
+    }
+    needed[k] = smallest;
+    attained = smallest < attained ? smallest : attained;
+    for (int64_t i = 0; i < n; i++) {
+        int64_t half = bound[i] <= bound[n + i] ? i : n + i; /* (C8) */
+        cells[i] = bound[half];
+        cells[2 * n + i] = s[ends[half]];
+        places[i] = row[half];
+        places[n + i] = ends[half];
+        if (cells[i] >= cells[n + i] - tolerance && cells[i] >= attained - sharpness)
+            places[2 * n + i] = 0;
+        else
+            places[2 * n + i] = counts[1] && touches(bad, s, k, ends[i], ends[n + i]) ? 1 : 2;
+    }
+    return 0;
 }

@@ -8,12 +8,14 @@ number, and p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.clothoid import subdivided
+from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.path import Path, Segment
 
-__all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion"]
+__all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion", "Pieces", "divided", "first_cells"]
 
 
 class Cells(NamedTuple):
@@ -66,6 +68,12 @@ class Cells(NamedTuple):
         for start in range(0, self.first.size, most):
             yield self.rows(slice(start, start + most))
 
+    def packed(self) -> tuple[IntArray, FloatArray]:
+        """Return the segments, Shape (n,), and the first and last parameters, Shape (2, n), for kernels."""
+        edges = np.empty((2, self.first.size))
+        edges[0], edges[1] = self.first, self.last
+        return self.segment, edges
+
     def rows(self, keep: FloatArray | IntArray | slice) -> Cells:
         """Return the cells selected by `keep`."""
         return Cells(self.segment[keep], self.first[keep], self.last[keep])
@@ -78,6 +86,12 @@ class CellEnds(NamedTuple):
     u: FloatArray
     first: IntArray
     last: IntArray
+
+    def packed(self) -> IntArray:
+        """Return the rows of the first and the last borders, Shape (2, n), for kernels."""
+        rows = np.empty((2, self.first.size), dtype=np.int64)
+        rows[0], rows[1] = self.first, self.last
+        return rows
 
 
 class Nodes(NamedTuple):
@@ -110,11 +124,40 @@ class CellMotion(NamedTuple):
         return np.maximum(distances[ends.first], distances[ends.last]) + self.bend * self.width**2 / 8.0
 
 
+class Pieces(NamedTuple):
+    """Clothoids and turns of a path in the form for kernels.
+
+    `kinds`: number of knots and gear of each segment, 0 for a turn in place, Shape (k, 2). `numbers`: knots [m],
+    curvature there [1/m], and curvature rate behind [1/m^2], of all segments one after the other, Shape (3, n).
+    """
+
+    kinds: IntArray
+    numbers: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class PathMotion:
     """The motion along a path."""
 
     path: Path
+
+    @functools.cached_property
+    def pieces(self) -> Pieces | None:
+        """The segments for kernels; None if one of them is a polyline."""
+        if any(isinstance(one, PolylineSegment) for one in self.path.segments):
+            return None
+        counts = [one.knots.size for one in self.path.segments]
+        kinds = np.array([(n, int(one.direction)) for n, one in zip(counts, self.path.segments, strict=True)])
+        numbers, end = np.zeros((3, sum(counts))), 0
+        for count, one in zip(counts, self.path.segments, strict=True):
+            some, end = slice(end, end + count), end + count
+            numbers[0, some] = one.knots
+            if isinstance(one, ClothoidSegment):
+                numbers[1, some] = one.spline.curvature
+                numbers[2, some][:-1] = one.spline.curvature_rates
+            else:
+                numbers[1, some] = one.curvature_at(one.knots)
+        return Pieces(kinds, numbers)
 
     def cells(self, max_step: float) -> Cells:
         """Return cells of at most `max_step` [m] that cover the path, without knots in their interiors."""
@@ -124,9 +167,11 @@ class PathMotion:
 
     def nodes(self, segment: IntArray, u: FloatArray) -> Nodes:
         """Return the poses at parameters `u` of segments `segment`, Shape (n,) each."""
+        if len(self.path.segments) == 1:
+            return Nodes(*_segment_poses(self.path.segments[0], u))
         poses, s = np.empty((u.size, 3)), np.empty(u.size)
         for i, one in enumerate(self.path.segments):
-            mine = segment == i if len(self.path.segments) > 1 else np.ones(u.size, dtype=bool)
+            mine = segment == i
             poses[mine], local = _segment_poses(one, u[mine])
             s[mine] = local + self.path.segment_starts[i]
         return Nodes(poses, s)
@@ -143,6 +188,76 @@ class PathMotion:
             for column, value in zip(columns, part, strict=True):
                 column[mine] = value
         return CellMotion(*columns)
+
+
+_FIRST = Kernel("optdock_first_cells", sizes=3, numbers=1)
+_DIVIDED = Kernel("optdock_divided_cells", sizes=3, numbers=0)
+
+
+class _NewCells:
+    """Arrays that receive at most `most` cells and their ends, see `cells_in` in C."""
+
+    def __init__(self, most: int) -> None:
+        self.whole, self.numbers = np.empty((6, most), dtype=np.int64), np.empty((4, most))
+
+    def made(self, n: int, ends: int) -> tuple[Cells, CellEnds]:
+        """Return the first n cells and their ends."""
+        end_segment, rows, end_u = self.whole[2:4].ravel(), self.whole[4:].ravel(), self.numbers[2:].ravel()
+        cells = Cells(self.whole[0, :n], self.numbers[0, :n], self.numbers[1, :n])
+        return cells, CellEnds(end_segment[:ends], end_u[:ends], rows[:n], rows[n : 2 * n])
+
+
+def _first_cells_native(motion: PathMotion, max_step: float) -> tuple[Cells, CellEnds]:
+    pieces = motion.pieces
+    assert pieces is not None
+    count = pieces.numbers.shape[1]
+    most = int(motion.path.length / max_step) + 2 * count + 2
+    new, found = _NewCells(most), np.empty(2, dtype=np.int64)
+    counts, knots = np.ascontiguousarray(pieces.kinds[:, 0]), np.ascontiguousarray(pieces.numbers[0])
+    arrays = ((counts, len(pieces.kinds)), (knots, count), (new.whole, 6 * most), (new.numbers, 4 * most), (found, 2))
+    if _FIRST((len(pieces.kinds), count, most), (max_step,), arrays) < 0:
+        raise IndexError(f"cells: more than {most} on a path of {motion.path.length} m")
+    return new.made(*found.tolist())
+
+
+@twin_of(_first_cells_native)
+def _first_cells_chosen(motion: PathMotion, max_step: float) -> tuple[Cells, CellEnds]:
+    return _first_cells_numpy(motion, max_step)
+
+
+def _first_cells_numpy(motion: PathMotion, max_step: float) -> tuple[Cells, CellEnds]:
+    # At the goal the clearance is often just the required one: a last cell of full length needs a second round.
+    cells = motion.cells(max_step).last_halved()
+    return cells, cells.ends()
+
+
+def first_cells(motion: PathMotion, max_step: float) -> tuple[Cells, CellEnds]:
+    """Return `PathMotion.cells` with the last cell divided into two halves, and the ends of all cells."""
+    return (_first_cells_numpy if motion.pieces is None else _first_cells_chosen)(motion, max_step)
+
+
+def _divided_native(cells: Cells, chosen: IntArray, parts: int) -> tuple[Cells, CellEnds]:
+    n, most = cells.first.size, chosen.size * parts
+    new = _NewCells(most)
+    arrays = (
+        (np.ascontiguousarray(cells.segment), n),
+        (np.ascontiguousarray(cells.first), n),
+        (np.ascontiguousarray(cells.last), n),
+        (np.ascontiguousarray(chosen), chosen.size),
+        (new.whole, 6 * most),
+        (new.numbers, 4 * most),
+    )
+    ends = _DIVIDED((n, chosen.size, parts), (), arrays)
+    if ends < 0:
+        raise IndexError("chosen: must be rows of cells")
+    return new.made(most, ends)
+
+
+@twin_of(_divided_native)
+def divided(cells: Cells, chosen: IntArray, parts: int) -> tuple[Cells, CellEnds]:
+    """Return the cells of the rows `chosen`, Shape (m,), each divided into equal parts, and their ends."""
+    finer = cells.rows(chosen).cut(parts)
+    return finer, finer.ends()
 
 
 def _segment_breaks(segment: Segment, max_step: float) -> FloatArray:

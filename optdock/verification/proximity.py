@@ -35,6 +35,8 @@ __all__ = [
     "bounded_footprint",
     "broad_phase",
     "end_clearances",
+    "lower_where_deep",
+    "of_pieces",
     "pose_clearance",
     "pose_clearances",
 ]
@@ -91,20 +93,25 @@ def pose_clearances(
         checks_unions: Whether overlaps that are shallow for every piece are checked for deep overlaps of the unions,
             see `contact_tolerance`. A search for guesses, which are certified afterwards, can omit this check.
     """
-    best, row = _of_pieces(poses, footprint, obstacles, within)
+    best, row = of_pieces(poses, footprint, obstacles, within)
     if checks_unions:
-        for shallow in np.flatnonzero((best < 0.0) & (best > -DEPTH)).tolist():
-            best[shallow] = min(best[shallow], deepest(footprint, poses[shallow], obstacles))
+        lower_where_deep(best, poses, footprint, obstacles)
     return best, row
 
 
-def _of_pieces(
+def lower_where_deep(clearances: FloatArray, poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> None:
+    """Lower those clearances, Shape (n,), that are shallow overlaps for every piece but deep ones of the unions."""
+    for shallow in np.flatnonzero((clearances < 0.0) & (clearances > -DEPTH)).tolist():
+        clearances[shallow] = min(clearances[shallow], deepest(footprint, poses[shallow], obstacles))
+
+
+def of_pieces(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of `pose_clearances` without the check of unions."""
     reach = footprint.circumscribed_radius + min(within, _NEARBY)
     rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-    if rows.size < 0.5 * len(obstacles):
+    if rows.size < 0.5 * len(obstacles) and np.all(np.isfinite(poses)):
         best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
         # The omitted obstacles are at least `_NEARBY` away.
         if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
@@ -115,7 +122,10 @@ def _of_pieces(
 def _nearest(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
-    """Evaluate the obstacles that are nearest in the broad phase first, then all others that may be nearer."""
+    """Evaluate the obstacles that are nearest in the broad phase first, then all others that may be nearer.
+
+    Of obstacles at the same distance the first one is returned.
+    """
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)
@@ -124,15 +134,15 @@ def _nearest(
         count = min(m, _NEAREST)
         nearest = np.zeros((n, m), dtype=np.bool_)
         nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
+        found, known = np.full((n, m), np.inf), best
         for some in (nearest, ~nearest):
-            i, o = np.nonzero(some & ~((apart >= best[:, None]) & (apart > 0.0)))
-            if i.size == 0:
-                continue
-            found = np.full((n, m), np.inf)
-            found[i, o] = separation(body.body, poses[i], obstacles.pieces(o)).distance
-            k = np.argmin(found, axis=1)
-            smallest = found[np.arange(n), k]
-            row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
+            i, o = np.nonzero(some & ~((apart > known[:, None]) & (apart > 0.0)))
+            if i.size:
+                found[i, o] = separation(body.body, poses[i], obstacles.pieces(o)).distance
+                known = np.minimum(known, found.min(axis=1))
+        k = np.argmin(found, axis=1)
+        smallest = found[np.arange(n), k]
+        row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
     return best, row
 
 

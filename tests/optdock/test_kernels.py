@@ -6,23 +6,37 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 
 from experiments.families import instance
 from experiments.fuzz.case import rng_of
-from experiments.fuzz.kinds.kernels import DEGENERATE, draw, drawn_shapes, drawn_stretches, judge
+from experiments.fuzz.generators.shapes import obstacle
+from experiments.fuzz.kinds.kernels import DEGENERATE, draw, drawn_shapes, drawn_stretches, is_equal, judge
 from optdock import kernels
 from optdock.build_kernels import ABOUT, FLAGS, BuildFailed, build, digest_of, kernel_sources
 from optdock.deadline import budget_clock
 from optdock.errors import InvalidValue
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.pose import Pose2
 from optdock.kernels import Kernel, KernelMismatch, kernels_in_use, kernels_lane, load_library, twin_of, using_kernels
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock
-from optdock.verification import conservative_advancement
+from optdock.verification import clearance_rounds, compiled_clearances, motion_bounds, pose_clearances, stretch_bounds
+from optdock.verification.clearance_rounds import Near, Rule, World
+from optdock.verification.conservative_advancement import prove_clearance
+from optdock.verification.motion_bounds import PathMotion
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = FilePath(__file__).resolve().parents[2]
 HAS_COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) is not None
 needs_compiler = pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
 
@@ -50,7 +64,7 @@ def test_random_stretches_are_as_degenerate_as_they_claim(degenerate):
         rng = np.random.default_rng(seed)
         (body, obstacles), (advances, within) = drawn_shapes(rng, degenerate), drawn_stretches(rng, degenerate)
         with np.errstate(all="ignore"):
-            found = conservative_advancement._body_bounds_numpy(body, advances, obstacles, within)
+            found = stretch_bounds._body_bounds_numpy(body, advances, obstacles, within)
         bounds.append(found.bound)
         touches.append(np.any(np.abs(found.distance) < 1e-9))
     bounds = np.concatenate(bounds)
@@ -74,6 +88,142 @@ def test_plans_of_both_lanes_are_equal_to_the_last_bit(name):
             poses = plan.path.poses_at(np.linspace(0.0, plan.path.length, 50))
             found.append((plan.price, plan.path.digest, plan.certificate.min_clearance, poses.tobytes()))
     assert found[0] == found[1]
+
+
+# The parts of a proof: cells, rounds, clearances
+
+
+def driven(*gears):
+    """A path of gears (knots, curvature) and of turns (angle), beginning forward at the origin."""
+    segments, at, sign = [], Pose2(0.0, 0.0, 0.2), 1
+    for gear in gears:
+        if isinstance(gear, float):
+            segments.append(TurnSegment(at, gear))
+        else:
+            segments.append(ClothoidSegment(ClothoidSpline(at, *gear, sign)))
+            sign = -sign
+        at = Path(tuple(segments)).end
+    return Path(tuple(segments))
+
+
+PATHS = {
+    "one gear": driven(([0.0, 0.5, 1.3], [0.2, 1.0, -0.4])),
+    "cusps": driven(([0.0, 0.9], [0.0, 1.5]), ([0.0, 0.02, 0.7], [0.0, -1.0, 0.5]), ([0.0, 1.1], [-2.0, 0.0])),
+    "turns in place": driven(1.2, ([0.0, 0.6], [0.0, 0.0]), -2.5),
+    "one cell": driven(([0.0, 0.01], [0.0, 3.0])),
+    "tiny": driven(([0.0, 1e-12, 1e-9], [0.0, 0.0, 1.0])),
+}
+BODIES = {
+    "convex": Footprint.rectangle(0.45, 0.25, 0.6),
+    "two pieces": Footprint([[0.5, 0.3], [-0.2, 0.3], [-0.2, 0.1], [0.3, 0.1], [0.3, -0.3], [0.5, -0.3]]),
+    "thin triangle": Footprint([[0.5, 0.0], [-0.1, 1e-4], [-0.1, -1e-4]]),
+}
+
+
+def some_rocks(name, body, seed=3):
+    rng = np.random.default_rng(seed)
+    if name == "touching":  # the outline of the robot at the start, beside it
+        return ObstacleSet.from_polygons(
+            [body.vertices + np.array(side) for side in ([body.length, 0.0], [0.0, body.width])]
+        )
+    if name == "needles":
+        return ObstacleSet.from_polygons([[[x, -2.0], [x + 1e-5, -2.0], [x, 2.0]] for x in (-0.6, 0.7, 1.4)])
+    if name == "a map":
+        low = rng.integers(-100, 100, (3000, 2)) * 0.05
+        low = low[np.hypot(*low.T) > 1.0]
+        return ObstacleSet.from_rectangles(low, low + 0.05, "map")
+    return ObstacleSet.from_polygons([rng.uniform(-3.0, 3.0, 2) + np.array(obstacle(rng)) for _ in range(40)])
+
+
+def both_lanes(run):
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane), np.errstate(all="ignore"):
+            found.append(run())
+    return found
+
+
+@needs_compiler
+@pytest.mark.parametrize("path", PATHS.values(), ids=PATHS)
+def test_cells_of_both_lanes_are_equal_however_often_they_are_divided(path):
+    motion, rng = PathMotion(path), np.random.default_rng(1)
+    twin, native = both_lanes(lambda: motion_bounds.first_cells(motion, 0.08))
+    assert is_equal((*twin[0], *twin[1]), (*native[0], *native[1]))
+    for parts in (2, 8, 3):
+        chosen = np.sort(rng.permutation(twin[0].first.size)[: max(1, twin[0].first.size // 2)])
+        twin, native = both_lanes(lambda c=twin[0], r=chosen, n=parts: motion_bounds.divided(c, r, n))
+        assert is_equal((*twin[0], *twin[1]), (*native[0], *native[1]))
+
+
+@needs_compiler
+@pytest.mark.parametrize("relief", [0.0, 0.6])
+@pytest.mark.parametrize("rocks", ["touching", "needles", "a map", "scattered"])
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", PATHS)
+def test_proofs_of_both_lanes_are_equal(name, body, rocks, relief):
+    """Poses with overlaps and with contact, and for a map only some of the obstacles near the path."""
+    path, robot = PATHS[name], Robot(BODIES[body], MotionLimits())
+    rule = ClearanceRule(0.1, 0.0, 0.3, 0.05, at_start=0.02 if relief else None)
+    problem = DockingProblem(path.start, Dock(path.end), robot, some_rocks(rocks, BODIES[body]), rule)
+    for sharp in (True, False):
+        proofs = both_lanes(lambda s=sharp: prove_clearance(Path(path.segments), problem, start_relief=relief, sharp=s))
+        assert is_equal(*proofs)
+
+
+@needs_compiler
+@pytest.mark.parametrize("spoiled", ["none", "attained", "pose", "yaw", "start", "relief"])
+def test_a_round_with_numbers_that_are_none_proves_as_little_in_both_lanes(spoiled):
+    path, body = PATHS["cusps"], BODIES["two pieces"]
+    rocks = some_rocks("scattered", body)
+    start, relief = (np.nan if spoiled == part else usual for part, usual in (("start", 0.2), ("relief", 0.0)))
+    rule = Rule(ClearanceRule(0.1, 0.0, 0.3), start, relief)
+    world, motion = World(body, rocks, path.end, path.start, rule), PathMotion(path)
+    cells, ends = motion_bounds.first_cells(motion, 0.08)
+    nodes = motion.nodes(ends.segment, ends.u)
+    nodes.poses[3, {"pose": 0, "yaw": 2}.get(spoiled, 0)] += np.nan if spoiled in ("pose", "yaw") else 0.0
+    near, attained = Near(rocks, np.arange(0, len(rocks), 2)), np.nan if spoiled == "attained" else 0.3
+    block = cells, ends, nodes
+    twin, native = both_lanes(lambda: clearance_rounds._round_chosen(motion, world, near, block, attained))
+    assert is_equal(twin, native)
+    met = (ends.first == 3) | (ends.last == 3)
+    if spoiled in ("pose", "yaw"):
+        assert np.isneginf(native.bound[met]).all()
+    if spoiled not in ("none", "start"):  # a start without clearance is one in contact
+        assert (native.fates[met] > 0).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize("within", [np.inf, 0.3])
+@pytest.mark.parametrize("rocks", ["touching", "needles", "a map", "scattered"])
+@pytest.mark.parametrize("body", BODIES)
+def test_clearances_of_both_lanes_are_equal(body, rocks, within):
+    rng, obstacles = np.random.default_rng(5), some_rocks(rocks, BODIES[body])
+    poses = np.vstack((np.zeros((1, 3)), rng.uniform(-3.0, 3.0, (60, 3))))
+    twin, native = both_lanes(lambda: compiled_clearances(poses, BODIES[body], obstacles, within))
+    assert is_equal(twin, native)
+    assert is_equal(twin, pose_clearances(poses, BODIES[body], obstacles, within))
+
+
+@needs_compiler
+def test_cells_that_are_none_are_an_error():
+    motion = PathMotion(PATHS["cusps"])
+    with using_kernels("native"):
+        cells, ends = motion_bounds.first_cells(motion, 0.08)
+        with pytest.raises(IndexError):
+            motion_bounds._divided_native(cells, np.array([0, cells.first.size]), 2)
+        rocks = some_rocks("scattered", BODIES["convex"])
+        world = World(BODIES["convex"], rocks, Pose2(0, 0, 0), Pose2(0, 0, 0), Rule(ClearanceRule(), 0.1, 0.0))
+        block = cells._replace(segment=cells.segment + 9), ends, motion.nodes(ends.segment, ends.u)
+        with pytest.raises(IndexError):
+            clearance_rounds._round_native(motion, world, Near(rocks, np.arange(2)), block, 0.1)
+
+
+def test_without_obstacles_everything_is_proven():
+    path = PATHS["cusps"]
+    problem = DockingProblem(path.start, Dock(path.end), Robot(BODIES["convex"], MotionLimits()), ObstacleSet.empty())
+    without_dock = prove_clearance(path, problem, obstacles=ObstacleSet.empty())
+    assert without_dock.holds
+    assert without_dock.proven == np.inf
 
 
 # Lanes
@@ -196,7 +346,7 @@ def test_a_stretch_of_no_pose_is_an_error(row):
     pose = advances.pose.copy()
     pose[-1] = row
     with pytest.raises(IndexError), using_kernels("native"):
-        conservative_advancement._body_bounds_native(body, advances._replace(pose=pose), obstacles, within)
+        stretch_bounds._body_bounds_native(body, advances._replace(pose=pose), obstacles, within)
 
 
 # The library

@@ -24,9 +24,10 @@ from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import Path
 from optdock.timing.interior_point import Iterate, Program, advanced
 from optdock.timing.reference_program import jerk_step_bands, spline_of
-from optdock.verification import conservative_advancement
-from optdock.verification.conservative_advancement import Advances, prove_clearance
+from optdock.verification import stretch_bounds
+from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.proximity import bounded_footprint
+from optdock.verification.stretch_bounds import Advances
 from optdock.verification.turning_rules import crossings
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def judge(case: Case) -> Verdict:
         found = []
         for lane in LANES:
             with using_kernels(lane), np.errstate(all="ignore"):
-                found.append(conservative_advancement._body_bounds(body, advances, obstacles, within))
+                found.append(stretch_bounds._body_bounds(body, advances, obstacles, within))
         if not is_equal(*found):
             return Verdict("kernel differs", f"bounds: {case['degenerate']}")
     return Verdict("equal")
