@@ -1,5 +1,6 @@
 """The page without a browser: events of the pointer and of widgets, and what the document shows after answers."""
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -161,7 +162,13 @@ def test_the_picture_belongs_to_its_fingerprint(worked):
     assert not page.view._veil.visible
     start = page.history.scene.problem.start
     begins = [page.view.data.columns[gear] for gear in ("forward", "reverse")]
-    assert min(np.nanmin(np.hypot(np.array(one["x"]) - start.x, np.array(one["y"]) - start.y)) for one in begins) < 1e-4
+    assert (
+        min(
+            np.nanmin(np.hypot(*(np.array(one[axis], float) - at for axis, at in (("x", start.x), ("y", start.y)))))
+            for one in begins
+        )
+        < 1e-4
+    )
 
 
 def test_no_way_is_shown_as_the_closed_region(worked):
@@ -421,7 +428,7 @@ def test_the_browser_receives_every_change_of_the_picture(worked):
 
     def receive(event):
         if getattr(event, "model", None) is post:
-            received.update({name: dict(columns) for name, (columns,) in post.data.items()})
+            received.update(json.loads(post.data["json"][0]))
 
     page.document.on_change(receive)
     page.view.data.connect()
