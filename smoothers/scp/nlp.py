@@ -168,7 +168,8 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
     headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
     traced = TracedInput(positions, headings, nlp.traced.end_yaw)
     cost = replace(nlp.cost, basis=basis, reference=InputNodes(positions, normals))
-    return replace(nlp, basis=basis, cost=cost, traced=traced)
+    terms = None if nlp.terms is None else replace(nlp.terms, margins=0.0)
+    return replace(nlp, basis=basis, cost=cost, traced=traced, terms=terms)
 
 
 def free_lengths(path: Path, final_straight: float) -> FloatArray:

@@ -34,7 +34,7 @@ from smoothers.scp.refusals import (
     refuse_terms_at_ends,
     refuse_unseen_approach,
 )
-from smoothers.scp.term_rows import TermBound
+from smoothers.scp.term_rows import TermBound, tightened
 from smoothers.scp.term_samples import sampled_cost, sampled_terms
 from smoothers.scp.visibility_constraint import ViewBound
 
@@ -455,9 +455,24 @@ class Solver:
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
+            if nlp.terms is not None and self._breaks_a_term():
+                nlp = self._tightened(nlp, refused)
+                guess = guess._replace(variables=refused.variables)
+                continue
             finer = [chosen.repair_finer * cells for _, cells in nlp.basis.shape]
             nlp = _more_cautious(nlp, chosen) if refused.feasible else with_intervals(nlp, finer)
             guess = guess._replace(variables=refused.variables)
+
+    def _breaks_a_term(self) -> bool:
+        """Whether the last refused candidate is certified, and violates a hard term."""
+        return self.outcome.refused is not None and self.outcome.refused[1].certificate.certified
+
+    def _tightened(self, nlp: NonlinearProgram, refused: Iterate) -> NonlinearProgram:
+        """Return the program with margins of the hard terms where the refused candidate violates them."""
+        assert nlp.terms is not None
+        assert refused.terms is not None
+        assert self.outcome.refused is not None
+        return replace(nlp, terms=tightened(nlp.terms, refused.terms.points, self.outcome.refused[0]))
 
     def _search(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         self.outcome.converged = False

@@ -7,7 +7,7 @@ within a step. Its values have the unit of clearances, so the shortfalls and row
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,16 +17,19 @@ from optdock.geometry.pose import wrap_angles
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.refusals import Refusal
+from smoothers.scp.term_samples import samples_of
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.model.path import Path
     from smoothers.scp.basis import Basis
     from smoothers.scp.rollout import Rollout, Sensitivity, Variables
     from smoothers.scp.term_functions import TermSet
 
-__all__ = ["TermBound", "TermsAlong", "linearized_terms", "node_shares", "term_points", "terms_along"]
+__all__ = ["TermBound", "TermsAlong", "linearized_terms", "node_shares", "term_points", "terms_along", "tightened"]
 
 _FLAT = 1e-9  # smaller derivatives by all variables give no row: the start is given
+_TIGHTENED = 1.2  # times the shortfall between nodes
 _MOST_ROWS = 48  # per hard term: the lowest values
 
 
@@ -39,6 +42,7 @@ class TermBound:
     before: float  # distance driven before the first node [m]
     after: float  # distance from the last node to the goal [m]: the final straight, and later pieces of the path
     bend: float  # largest change of a curvature [1/m]
+    margins: FloatArray | float = 0.0  # values required of the hard terms at the nodes, Shape (num_nodes, hard terms)
 
 
 class TermsAlong(NamedTuple):
@@ -53,6 +57,7 @@ def terms_along(bound: TermBound, basis: Basis, variables: Variables, rollout: R
     """Return the terms along a path; values that are not finite are infinite costs and shortfalls."""
     points = term_points(bound, basis, variables, rollout)
     values = bound.terms.values(points)
+    values[:, : len(bound.terms.hard)] -= bound.margins
     count = len(bound.terms.hard)
     bad = ~np.isfinite(values)
     short = np.where(bad[:, :count], np.inf, -values[:, :count]).max(axis=1, initial=-np.inf)
@@ -109,6 +114,7 @@ def linearized_terms(
     terms = bound.terms
     values, slopes = terms.with_slopes(points)
     _require_numbers(terms, points, values)
+    values[:, : len(terms.hard)] -= bound.margins
     count, rows = len(terms.hard), [ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))]
     for k in range(count):
         weight = np.array([reach, reach, reach, bound.bend, reach, reach])
@@ -133,6 +139,26 @@ def linearized_terms(
         gradient[basis.num_knots :] += np.bincount(basis.node_gear, longer, minlength=basis.num_gears)
     joined = ClearanceRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
     return Quadratic(gradient, hessian), joined
+
+
+def tightened(bound: TermBound, points: FloatArray, path: Path) -> TermBound:
+    """Return the bound with larger margins at the nodes next to samples of `path` where a hard term is negative.
+
+    Args:
+        bound: Terms along the path or piece.
+        points: Values of the symbols at the nodes.
+        path: Exact path of these nodes, with the final straight.
+    """
+    count, straight = len(bound.terms.hard), float(path.driven - (points[-1, 4] - bound.before))
+    samples, _ = samples_of(path, bound.before, bound.after - straight)
+    values = bound.terms.values(samples)[:, :count]
+    short = np.where(np.isfinite(values), np.maximum(-values, 0.0), 0.0)
+    after = np.clip(np.searchsorted(points[:, 4], samples[:, 4]), 1, len(points) - 1)
+    margins = np.zeros((len(points), count))
+    for node in (after - 1, after):
+        np.maximum.at(margins, node, _TIGHTENED * short)
+    margins[[0, -1]] = 0.0  # the ends are given
+    return replace(bound, margins=bound.margins + margins)
 
 
 def _require_numbers(terms: TermSet, points: FloatArray, values: FloatArray) -> None:
