@@ -213,14 +213,13 @@ def test_turns_in_place_and_kept_lines_are_sampled(cases, term, inside):
 def test_lengths_run_on_over_the_pieces_between_turns(cases):
     problem, raw = around_a_corner(cases)
     halves = HardTerm("halves", lambda p: casadi.if_else(p.s < 1.4, 1.45 - p.x, p.remaining + p.s - 2.9))
-    found = CasadiSmoother(terms=[halves]).smooth(raw, 30.0, problem=problem)
+    searched = SoftTerm("any", lambda p: p.y)  # with a cost, straight pieces are searched as well
+    found = CasadiSmoother(terms=[halves, searched]).smooth(raw, 30.0, problem=problem)
+    assert found.report.iterations > 0
     points, s = samples_of(found.path)
     assert points[-1, 4] == pytest.approx(found.path.driven)
     assert points[:, 4] + points[:, 5] == pytest.approx(np.full(s.size, found.path.driven))
     assert s[-1] == pytest.approx(found.path.length)
-    bent = SoftTerm("inside", lambda p: casadi.fmax(0, p.x - 1.2) * (p.y < 0.5), weight=50.0)
-    moved = CasadiSmoother(terms=[bent]).smooth(raw, 30.0, problem=problem)
-    assert certify_path(moved.path, problem).certified
 
 
 def test_no_result_passes_the_last_gate_whatever_the_search_accepts(scene, monkeypatch):
