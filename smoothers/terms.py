@@ -57,7 +57,9 @@ class PathPoint:
 class TermFunction:
     """Expression of a term, without the values of its parameters."""
 
-    function: casadi.Function  # of the symbols, Shape (7,), and the parameters: one value
+    # Of the symbols, Shape (7,), and the parameters: the value, and a number that is not finite if an argument of a
+    # comparison, a minimum or a maximum is not finite. These functions can hide NaN: fmin(1, NaN) is 1.
+    function: casadi.Function
     reads: frozenset[str]  # names of the symbols on which the value depends
 
 
@@ -166,12 +168,36 @@ def _function_of(name: str, expression: Callable[[PathPoint], casadi.SX], parame
     values = casadi.vertcat(casadi.SX(0, 1), *(symbols[one] for one in parameters))
     free = sorted({one.name() for one in casadi.symvar(found)} - set(symbols))
     try:
-        function = casadi.Function("term", [point, values], [found])
+        function = casadi.Function("term", [point, values], [found, _hidden(found)])
     except RuntimeError as error:
         what = ", ".join(free) or "symbols of another term"
         rule = "use the attributes of the PathPoint, and declare parameters by name"
         raise InvalidValue(f"term {name!r}: depends on {what}: {rule}") from error
     return TermFunction(function, frozenset(one.name() for one in casadi.symvar(found)) & frozenset(SYMBOLS))
+
+
+def _hidden(expression: casadi.SX) -> casadi.SX:
+    """Return a sum of the arguments of all comparisons, minima and maxima that contribute to an expression."""
+    import casadi
+
+    hiding = {casadi.OP_FMIN, casadi.OP_FMAX, casadi.OP_LT, casadi.OP_LE, casadi.OP_EQ, casadi.OP_NE}
+    known: dict[int, casadi.SX] = {}
+    left = [expression]
+    while left:
+        node = left[-1]
+        parts = [node.dep(i) for i in range(node.n_dep())]
+        missing = [part for part in parts if part.element_hash() not in known]
+        left.extend(missing)
+        if missing:
+            continue
+        left.pop()
+        sums = [known[part.element_hash()] for part in parts]
+        if parts and node.op() == casadi.OP_IF_ELSE_ZERO:  # a branch that is not taken may have no value
+            sums[1] = casadi.if_else(parts[0], sums[1], 0.0)
+        elif parts and node.op() in hiding:
+            sums += parts
+        known[node.element_hash()] = sum(sums, casadi.SX(0.0))
+    return known[expression.element_hash()]
 
 
 def _scalar(name: str, found: object) -> casadi.SX:

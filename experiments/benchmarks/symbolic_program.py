@@ -142,4 +142,4 @@ def _points(model: SymbolicModel, bound: TermBound) -> casadi.SX:
 
 
 def _along(function: casadi.Function, values: list[float], points: casadi.SX) -> casadi.SX:
-    return casadi.vertcat(*(function(points[node, :].T, casadi.DM(values)) for node in range(points.shape[0])))
+    return casadi.vertcat(*(function(points[node, :].T, casadi.DM(values))[0] for node in range(points.shape[0])))

@@ -251,7 +251,11 @@ class IterationTimes:
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
         """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
         self.iteration = pace * self.expected_iteration(nlp)
-        self.certificate = self.certificate or pace * _expected(nlp, self._settings.certificate_seconds)
+        certificate = _expected(nlp, self._settings.certificate_seconds)
+        if nlp.terms is not None and nlp.terms.terms.hard:
+            once, per_metre = self._settings.term_seconds
+            certificate += once + per_metre * float(nlp.lengths.sum())
+        self.certificate = self.certificate or pace * certificate
 
     def expected_iteration(self, nlp: NonlinearProgram) -> float:
         """Return the predicted time [s] of an iteration on the benchmark machine."""

@@ -103,19 +103,23 @@ class TermFunctions:
         sizes = [one.function.size1_in(1) for one in functions]
         parameters = casadi.SX.sym("parameters", sum(sizes))
         parts = casadi.vertsplit(parameters, np.concatenate(([0], np.cumsum(sizes))).tolist())
-        value = casadi.vertcat(*(one.function(point, part) for one, part in zip(functions, parts, strict=True)))
+        found = [one.function(point, part) for one, part in zip(functions, parts, strict=True)]
+        value, hidden = (casadi.densify(casadi.vertcat(*column)) for column in zip(*found, strict=True))
         slopes = casadi.densify(casadi.jacobian(value, point[:DERIVATIVES]))
         self.count = len(functions)
-        self._value = _Blocks(casadi.Function("value", [point, parameters], [casadi.densify(value)]))
-        self._both = _Blocks(casadi.Function("both", [point, parameters], [casadi.densify(value), slopes]))
+        self._value = _Blocks(casadi.Function("value", [point, parameters], [value, hidden]))
+        self._both = _Blocks(casadi.Function("both", [point, parameters], [value, hidden, slopes]))
 
     def values(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
-        """Return the values at points, Shape (n, 7). Shape (n, terms)."""
-        return self._value.evaluated(points, parameters)[0]
+        """Return the values at points, Shape (n, 7), and NaN where a hidden value is not finite. Shape (n, terms)."""
+        value, hidden = self._value.evaluated(points, parameters)
+        value[~np.isfinite(hidden)] = np.nan
+        return value
 
     def with_slopes(self, points: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the values, Shape (n, terms), and derivatives, Shape (n, `DERIVATIVES`, terms)."""
-        value, slopes = self._both.evaluated(points, parameters)
+        value, hidden, slopes = self._both.evaluated(points, parameters)
+        value[~np.isfinite(hidden)] = np.nan
         return value, slopes.reshape(-1, DERIVATIVES, self.count)
 
 

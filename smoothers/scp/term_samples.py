@@ -31,7 +31,7 @@ __all__ = ["SPACING", "sampled_cost", "sampled_terms", "samples_of"]
 SPACING = 0.005  # [m] between samples
 _TURNING = 0.01  # [rad] between samples
 _BENT = 1e9  # [1/m]: curvature of a turn in place
-_AT_ONCE = 2048  # samples between two looks at the clock
+_AT_ONCE = 512  # samples between two looks at the clock
 # The last result on each path: paths and terms are immutable, and every stage asks again.
 _KEPT: Memo[Path, tuple[TermSet, tuple[SampledBound, ...]]] = Memo()
 

@@ -72,9 +72,10 @@ def test_blocks_of_points_are_the_functions_of_the_terms_one_by_one():
         assert np.array_equal(values, terms.values(points))
         for k, term in enumerate((*terms.hard, *terms.soft)):
             one = term.function.function
-            slope = casadi.Function("d", one.sx_in(), [casadi.jacobian(one(*one.sx_in()), one.sx_in(0))])
+            symbols = one.sx_in()
+            slope = casadi.Function("d", symbols, [casadi.jacobian(one(*symbols)[0], symbols[0])])
             parameters = list(term.values.values())
-            assert values[:, k] == pytest.approx([float(one(row, parameters)) for row in points], abs=1e-14)
+            assert values[:, k] == pytest.approx([float(one(row, parameters)[0]) for row in points], abs=1e-14)
             wanted = np.array([np.array(casadi.DM.full(slope(row, parameters))).ravel()[:6] for row in points])
             assert slopes[:, :, k] == pytest.approx(wanted, abs=1e-14)
 
@@ -224,6 +225,25 @@ def test_wrong_values_and_sets_are_refused():
         CasadiSmoother(terms=TERMS[0])
     with pytest.raises(InvalidValue, match=r"terms\[0\]"):
         CasadiSmoother(terms=[lambda p: p.x])
+
+
+@pytest.mark.parametrize(
+    ("expression", "bad"),
+    [
+        (lambda p: casadi.fmin(1.0, casadi.log(p.x)), [True, False]),
+        (lambda p: casadi.fmax(-1.0, 2.0 * casadi.sqrt(p.x)), [True, False]),
+        (lambda p: casadi.if_else(casadi.log(p.x) < 3.0, 1.0, 2.0), [True, False]),
+        (lambda p: casadi.if_else(p.x > 0.0, casadi.fmin(1.0, casadi.log(p.x)), 2.0), [False, False]),
+        (lambda p: casadi.if_else(p.x > 0.0, 2.0, casadi.fmin(1.0, casadi.log(p.x))), [True, False]),
+        (lambda p: casadi.fmin(1.0, casadi.fabs(p.x)), [False, False]),
+    ],
+)
+def test_a_number_that_does_not_exist_is_not_hidden_by_minima_and_comparisons(expression, bad):
+    points = np.zeros((2, 7))
+    points[:, 0] = -1.0, 2.0
+    terms = term_set([HardTerm("mine", expression)])
+    assert np.isnan(terms.values(points)[:, 0]).tolist() == bad
+    assert np.isnan(terms.with_slopes(points)[0][:, 0]).tolist() == bad
 
 
 def test_other_values_need_no_other_functions_and_leave_the_term_as_it_is():
