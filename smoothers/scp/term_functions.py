@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["DERIVATIVES", "TermFunctions", "TermSet", "term_set"]
 
 DERIVATIVES = len(SYMBOLS) - 1  # by all symbols except the gear, which is the last one
-_BLOCK = 64  # points per evaluation
+_BLOCK, _LARGE_BLOCK = 64, 128  # points per evaluation: nodes, and samples
 _MOST_KEPT = 16  # sets of terms per thread
 
 
@@ -107,12 +107,14 @@ class TermFunctions:
         value, hidden = (casadi.densify(casadi.vertcat(*column)) for column in zip(*found, strict=True))
         slopes = casadi.densify(casadi.jacobian(value, point[:DERIVATIVES]))
         self.count = len(functions)
-        self._value = _Blocks(casadi.Function("value", [point, parameters], [value, hidden]))
-        self._both = _Blocks(casadi.Function("both", [point, parameters], [value, hidden, slopes]))
+        only = casadi.Function("value", [point, parameters], [value, hidden])
+        self._value, self._samples = _Blocks(only, _BLOCK), _Blocks(only, _LARGE_BLOCK)
+        self._both = _Blocks(casadi.Function("both", [point, parameters], [value, hidden, slopes]), _BLOCK)
 
     def values(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
         """Return the values at points, Shape (n, 7), and NaN where a hidden value is not finite. Shape (n, terms)."""
-        value, hidden = self._value.evaluated(points, parameters)
+        blocks = self._samples if len(points) > 2 * _LARGE_BLOCK else self._value
+        value, hidden = blocks.evaluated(points, parameters)
         value[~np.isfinite(hidden)] = np.nan
         return value
 
@@ -126,11 +128,11 @@ class TermFunctions:
 class _Blocks:
     """A function of a point and of parameters, evaluated at blocks of points in its own buffers."""
 
-    def __init__(self, function: casadi.Function) -> None:
-        mapped = function.map("blocks", "serial", _BLOCK, [1], [])
-        self._points = np.zeros((_BLOCK, function.size1_in(0)))
+    def __init__(self, function: casadi.Function, size: int) -> None:
+        mapped = function.map("blocks", "serial", size, [1], [])
+        self._points = np.zeros((size, function.size1_in(0)))
         self._parameters = np.zeros(function.size1_in(1))
-        self._results = [np.zeros((_BLOCK, function.nnz_out(i))) for i in range(function.n_out())]
+        self._results = [np.zeros((size, function.nnz_out(i))) for i in range(function.n_out())]
         self._buffer, self._run = self._bound(mapped)
 
     def _bound(self, mapped: casadi.Function) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
@@ -145,8 +147,9 @@ class _Blocks:
         """Return every output at the points, one row per point."""
         self._parameters[:] = parameters
         found: list[FloatArray] = [np.empty((len(points), part.shape[1])) for part in self._results]
-        for begin in range(0, len(points), _BLOCK):
-            block = points[begin : begin + _BLOCK]
+        size = len(self._points)
+        for begin in range(0, len(points), size):
+            block = points[begin : begin + size]
             self._points[: len(block)] = block
             self._points[len(block) :] = block[-1]
             self._run()

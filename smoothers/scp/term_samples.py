@@ -16,6 +16,7 @@ from optdock.geometry.pose import wrap_angles
 from optdock.model.segments import PolylineSegment, TurnSegment
 from optdock.plugins.outcomes import SampledBound
 from optdock.verification.certificate import Memo
+from smoothers.scp.term_functions import TermSet
 from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
@@ -24,14 +25,13 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.path import Path
     from optdock.model.segments import Segment
-    from smoothers.scp.term_functions import TermSet
 
 __all__ = ["SPACING", "sampled_cost", "sampled_terms", "samples_of"]
 
 SPACING = 0.005  # [m] between samples
 _TURNING = 0.01  # [rad] between samples
 _BENT = 1e9  # [1/m]: curvature of a turn in place
-_AT_ONCE = 512  # samples between two looks at the clock
+_AT_ONCE = 4096  # samples between two looks at the clock, in about a millisecond
 # The last result on each path: paths and terms are immutable, and every stage asks again.
 _KEPT: Memo[Path, tuple[TermSet, tuple[SampledBound, ...]]] = Memo()
 
@@ -58,13 +58,13 @@ def sampled_terms(
     if known is not None and known[0] is terms:
         return known[1]
     points, stations = samples_of(path, before, after)
-    values = np.full((len(points), len(terms.hard)), -np.inf)
+    hard, values = TermSet(terms.hard, ()), np.full((len(points), len(terms.hard)), -np.inf)
     for begin in range(0, len(points), _AT_ONCE):
         if begin and is_late():
             before = -1.0  # the result is not kept
             break
         block = slice(begin, begin + _AT_ONCE)
-        values[block] = terms.values(points[block])[:, : len(terms.hard)]
+        values[block] = hard.values(points[block])
     values[~np.isfinite(values)] = -np.inf
     lowest = np.argmin(values, axis=0)
     found = tuple(
