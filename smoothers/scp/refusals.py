@@ -11,7 +11,7 @@ import numpy as np
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.obstacles import in_words
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.dock import DockDirection
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.planning.plan import PartialPlan
@@ -266,12 +266,14 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
 
 def _lowest(terms: TermSet, points: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
     """Return the point, a sentence, the amount and the name of the first violated term that reads only `known`."""
+    points[:, 2] = wrap_angles(points[:, 2])
     values = terms.values(points)
+    values[~np.isfinite(values)] = -np.inf
     for k, term in enumerate(terms.hard):
         row = int(np.argmin(values[:, k]))
-        if term.function.reads <= known and not values[row, k] >= -_TOLERANCE:
-            value = float(values[row, k])
-            return row, f"the term {term.name!r} is {value:.4g}, must be >= 0,", abs(value), term.name
+        value = float(values[row, k])
+        if term.function.reads <= known and value < -_TOLERANCE:
+            return row, f"the term {term.name!r} is {value:.4g}, must be >= 0,", -value, term.name
     return None
 
 

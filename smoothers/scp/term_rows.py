@@ -116,9 +116,11 @@ def linearized_terms(
     _require_numbers(terms, points, values)
     values[:, : len(terms.hard)] -= bound.margins
     count, rows = len(terms.hard), [ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))]
+    within = np.array([reach, reach, reach, bound.bend, reach, reach])
     for k in range(count):
-        weight = np.array([reach, reach, reach, bound.bend, reach, reach])
-        near = np.flatnonzero(values[:, k] < np.abs(slopes[:, :, k]) @ weight)
+        near = np.flatnonzero(values[:, k] < np.abs(slopes[:, :, k]) @ within)
+        if not near.size:
+            continue
         if near.size > _MOST_ROWS:
             near = near[np.argpartition(values[near, k], _MOST_ROWS)[:_MOST_ROWS]]
         gradient = _by_variables(basis, by, slopes[:, :, k], near)
@@ -163,12 +165,12 @@ def tightened(bound: TermBound, points: FloatArray, path: Path) -> TermBound:
 
 def _require_numbers(terms: TermSet, points: FloatArray, values: FloatArray) -> None:
     """Raise FailedToSmoothPath if a value is not a finite number: a path with such values is never improved."""
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
-        row, k = bad[0]
-        term, (x, y, yaw, _, s, *_) = (*terms.hard, *terms.soft)[k], points[row].tolist()
-        message = f"the term {term.name!r} is not a finite number at s = {s:.3f} m on the first path of the search"
-        raise Refusal("term", s, np.inf, "", message, np.array([x, y, yaw]), {"term": term.name}).error()
+    if np.isfinite(values).all():
+        return
+    row, k = np.argwhere(~np.isfinite(values))[0]
+    term, (x, y, yaw, _, s, *_) = (*terms.hard, *terms.soft)[k], points[row].tolist()
+    message = f"the term {term.name!r} is not a finite number at s = {s:.3f} m on the first path of the search"
+    raise Refusal("term", s, np.inf, "", message, np.array([x, y, yaw]), {"term": term.name}).error()
 
 
 def _by_variables(basis: Basis, by: Sensitivity, slopes: FloatArray, node: IntArray) -> FloatArray:

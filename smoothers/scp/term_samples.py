@@ -54,14 +54,15 @@ def sampled_terms(
     """
     if not terms.hard:
         return ()
-    known = _KEPT.recall(path) if before == after == 0.0 else None
+    is_whole = before == after == 0.0
+    known = _KEPT.recall(path) if is_whole else None
     if known is not None and known[0] is terms:
         return known[1]
     points, stations = samples_of(path, before, after)
     hard, values = TermSet(terms.hard, ()), np.full((len(points), len(terms.hard)), -np.inf)
     for begin in range(0, len(points), _AT_ONCE):
         if begin and is_late():
-            before = -1.0  # the result is not kept
+            is_whole = False
             break
         block = slice(begin, begin + _AT_ONCE)
         values[block] = hard.values(points[block])
@@ -71,7 +72,7 @@ def sampled_terms(
         SampledBound(term.name, float(values[row, k]), float(stations[row]), SPACING)
         for k, (term, row) in enumerate(zip(terms.hard, lowest.tolist(), strict=True))
     )
-    if before == after == 0.0:
+    if is_whole:
         _KEPT.keep(path, (terms, found))
     return found
 
