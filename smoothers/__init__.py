@@ -1,4 +1,4 @@
-"""Path smoothers, plugins of `optdock.smoothers`, each imported on first use."""
+"""Path smoothers, plugins of `optdock.smoothers`, and terms for one of them, each imported on first use."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ if TYPE_CHECKING:
     from smoothers.casadi_smoother import CasadiSmoother
     from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother
     from smoothers.nav2.simple import SimpleSmoother
+    from smoothers.terms import HardTerm, SoftTerm
 
 _HOMES = {
     "CasadiSmoother": "smoothers.casadi_smoother",
+    "HardTerm": "smoothers.terms",
     "SavitzkyGolaySmoother": "smoothers.nav2.savitzky_golay",
     "SimpleSmoother": "smoothers.nav2.simple",
+    "SoftTerm": "smoothers.terms",
 }
 
-__all__ = ["CasadiSmoother", "SavitzkyGolaySmoother", "SimpleSmoother"]
+__all__ = ["CasadiSmoother", "HardTerm", "SavitzkyGolaySmoother", "SimpleSmoother", "SoftTerm"]
 
 
 def __getattr__(name: str) -> object:

@@ -21,19 +21,31 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import Path, may_be_one_frame
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
+from optdock.plugins.interfaces import (
+    SampledBound,
+    Smoother,
+    SmoothingReport,
+    SmoothingResult,
+    SmoothingStatus,
+    never_cancelled,
+)
 from optdock.plugins.parameters import PluginParameters, checked_seconds
 from optdock.verification import certify_path, pose_clearances
 from smoothers.scp.cost import Weights
 from smoothers.scp.nlp import Formulation
 from smoothers.scp.pieces_between_turns import TurningSolver, with_turns
 from smoothers.scp.qp_step import pool_of_this_thread, prepare_programs
-from smoothers.scp.refusals import refuse_certificate
+from smoothers.scp.refusals import refuse_certificate, refuse_term
 from smoothers.scp.search import Call, Solver
 from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
+from smoothers.scp.term_functions import term_set
+from smoothers.scp.term_samples import sampled_terms
+from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
+
+    from smoothers.terms import PathTerm
 
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
@@ -84,11 +96,38 @@ class CasadiSmoother(Smoother):
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
     `optdock.verification`. The order of the gears is kept. Cusps may move, but turns in place keep their positions.
     One instance can be used in several threads.
+
+    Args:
+        terms: Costs and constraints of the user, see `smoothers.terms`. Hard terms are rows of the same program. Every
+            returned path satisfies them at samples, and the report states the smallest values: they are not proven.
+        **parameters: Values of the fields of `Parameters`.
+
+    Raises:
+        InvalidValue: If a parameter or a term is wrong, or two terms have the same name.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
     parameters: CasadiSmootherParameters
     settings: Settings = DEFAULT_SETTINGS
+
+    def __init__(self, /, *, terms: Iterable[PathTerm] = (), **parameters: object) -> None:
+        super().__init__(**parameters)
+        self.terms = terms
+
+    @property
+    def terms(self) -> tuple[PathTerm, ...]:
+        """Costs and constraints of the user; a new value is used from the next call on."""
+        chosen = self._terms
+        return () if chosen is None else (*chosen.hard, *chosen.soft)
+
+    @terms.setter
+    def terms(self, terms: Iterable[PathTerm]) -> None:
+        self._terms = term_set(terms)
+
+    def sampled_bounds(self, path: Path, *, before: float = 0.0) -> tuple[SampledBound, ...]:
+        """Return the hard terms at samples of a path, see `Smoother.sampled_bounds`."""
+        chosen = self._terms
+        return () if chosen is None else sampled_terms(chosen, path, before)
 
     def smooth(
         self,
@@ -124,9 +163,10 @@ class CasadiSmoother(Smoother):
             InvalidValue: If `max_time` is not finite or negative, there is neither a problem nor a footprint, or
                 `problem` or `warm_start` has the wrong class.
             FailedToSmoothPath: If a bound cannot be satisfied. `where["reason"]` is `start_in_collision`,
-                `start_curvature`, `direction`, `turn`, `approach_blocked`, `goal_unreachable` or `clearance`; `where`
-                also has `s` [m], `pose`, `amount`, `obstacle`, and for clearance the measured `clearance` and the
-                clearance `required`. The best path found is the `path` of `partial`.
+                `start_curvature`, `direction`, `turn`, `approach_blocked`, `goal_unreachable`, `clearance` or `term`;
+                `where` also has `s` [m], `pose`, `amount`, `obstacle`, for clearance the measured `clearance` and the
+                clearance `required`, and for a hard term its name as `term`. The best path found is the `path` of
+                `partial`.
             SmootherTimedOut: If no path is certified within `max_time`. The path of the last iterate is the `path` of
                 `partial` and can be the `warm_start` of a later call.
             SmootherCancelled: If `cancel_checker` returned True.
@@ -177,6 +217,10 @@ class CasadiSmoother(Smoother):
         chosen = TurningSolver if call.path.turns else Solver
         solver = chosen(pool, deadline, cancel_checker, self.settings)
         best, outcome = solver.follow_strategy(call), solver.outcome
+        sampled = () if call.terms is None else sampled_terms(call.terms, best.path)
+        broken = next((bound for bound in sampled if not bound.holds), None)
+        if broken is not None:  # every result passes here, whatever its origin
+            raise refuse_term(broken, best.path).error()
         report = SmoothingReport(
             status=best.given or (SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED),
             cost=best.cost,
@@ -187,6 +231,7 @@ class CasadiSmoother(Smoother):
             first_certified_s=outcome.first_certified,
             total_s=deadline.elapsed,
             certificate=best.certificate,
+            sampled=sampled,
         )
         return SmoothingResult(best.path, outcome.converged, report)
 
@@ -201,7 +246,8 @@ class CasadiSmoother(Smoother):
         earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
         formulation = Formulation(weights, chosen.spans, chosen.interval)
         path = path.with_frame(problem.frame)
-        return Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
+        call = Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
+        return call._replace(terms=self._terms)
 
     def warm_up(self) -> None:
         """Build the programs that a first call needs, load the solvers, and measure the speed of this machine."""
@@ -218,9 +264,11 @@ class CasadiSmoother(Smoother):
             deadline = Deadline(10.0, self.context.clock)
             solver = Solver(pool, deadline, never_cancelled, self.settings)
             with contextlib.suppress(SmootherException):  # with unusual parameters the call may fail, after building
-                solver.follow_strategy(self.call_for(path, problem))
+                solver.follow_strategy(self.call_for(path, problem)._replace(terms=None))
             paces.append(solver.times.pace)
         prepare_programs(pool, self.settings.step)
+        if self._terms is not None:
+            self._terms.with_slopes(np.zeros((1, len(SYMBOLS))))
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:

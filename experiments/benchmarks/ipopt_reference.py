@@ -2,23 +2,21 @@
 
 Every near pair of interval and obstacle has a separate line (an angle and an offset) that must have the swept vertices
 on one side and the obstacle on the other. Unlike in the sequential steps, nothing is linearized and no line is fixed,
-so a local optimum of the program is a local optimum of the problem. Slow: for comparison only. Its symbolic roll-out
-and cost are also the reference of the hand-written derivatives.
+so a local optimum of the program is a local optimum of the problem. Slow: for comparison only.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import casadi
 import numpy as np
 
+from experiments.benchmarks.symbolic_program import cost_expression, end_error, model_for, rate_rows, term_expressions
 from optdock.deadline import Deadline
 from optdock.plugins.interfaces import SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
-from smoothers.scp.basis import basis_for
 from smoothers.scp.collision.broad_phase import Pairs, broad_phase
 from smoothers.scp.collision.collision_scene import body_at_nodes
 from smoothers.scp.collision.narrow_phase import narrow_phase
@@ -30,36 +28,39 @@ from smoothers.scp.rollout import Variables, roll_out
 from smoothers.scp.search import Solver
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
+    from experiments.benchmarks.symbolic_program import SymbolicModel
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
-    from smoothers.scp.basis import Basis, Shape
     from smoothers.scp.collision.narrow_phase import Clearance
-    from smoothers.scp.cost import CostModel
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import NonlinearProgram
+    from smoothers.terms import PathTerm
 
-__all__ = ["SymbolicModel", "cost_expression", "model_for", "smooth_by_ipopt", "solve_reference"]
+__all__ = ["smooth_by_ipopt", "solve_reference"]
 
 _ROUNDS = 8  # the near pairs and the dips between nodes are updated after each round
 _REACH = 0.12  # [m]
 _SETTLED = 1e-4  # relative change of the cost
 _SHORTEST = 0.05  # [s], minimum time of a round
 _BUFFER = 2e-5  # [m]
+_ROUNDING = 1e-9  # of hard terms at the start, which is given
 
 
 _Option: TypeAlias = "bool | float | str | Mapping[str, float | str]"
 
 
-def smooth_by_ipopt(path: Path, max_time: float, problem: DockingProblem, **parameters: object) -> SmoothingResult:
-    """Solve the problem that `CasadiSmoother(**parameters).smooth(path, max_time, problem=problem)` approximates.
+def smooth_by_ipopt(
+    path: Path, max_time: float, problem: DockingProblem, terms: Iterable[PathTerm] = (), **parameters: object
+) -> SmoothingResult:
+    """Solve the problem that `CasadiSmoother(terms=terms, **parameters).smooth(...)` approximates.
 
     Raises:
-        FailedToSmoothPath: If ipopt ends with a path that is not certified.
+        FailedToSmoothPath: If ipopt ends with a path that is not certified, or violates a hard term at a sample.
     """
-    smoother = CasadiSmoother(**parameters)
+    smoother = CasadiSmoother(terms=terms, **parameters)
     deadline = Deadline(max_time)
     path = path.with_frame(problem.frame)
     solver = Solver(pool_of_this_thread(), deadline, never_cancelled, smoother.settings)
@@ -71,8 +72,12 @@ def smooth_by_ipopt(path: Path, max_time: float, problem: DockingProblem, **para
     if not certificate.certified:
         refusal = refuse_search(nlp, iterate, problem)
         raise refusal._replace(more={**refusal.more, "certificate": certificate.reason}).error()
+    sampled = smoother.sampled_bounds(found)
+    broken = next((bound for bound in sampled if not bound.holds), None)
+    if broken is not None:
+        raise broken.failure(found)
     status = SmoothingStatus.CONVERGED if settled else SmoothingStatus.STOPPED
-    report = SmoothingReport(status, iterate.cost, total_s=deadline.elapsed, certificate=certificate)
+    report = SmoothingReport(status, iterate.cost, total_s=deadline.elapsed, certificate=certificate, sampled=sampled)
     return SmoothingResult(found, settled, report)
 
 
@@ -119,13 +124,17 @@ def _round(nlp: NonlinearProgram, current: Iterate, found: Clearance, max_time: 
     basis, model = nlp.basis, model_for(nlp.basis.shape)
     count = found.margin.size
     angles, offsets = casadi.SX.sym("angle", count), casadi.SX.sym("offset", count)
-    parts = [_path_constraints(nlp, model)]
+    cost, parts = cost_expression(model, nlp.cost), [_path_constraints(nlp, model)]
+    if nlp.terms is not None:
+        added, hard = term_expressions(model, nlp.terms)
+        cost += added
+        parts.append(_term_constraints(nlp, current, hard))
     if count:
         parts.append(_line_constraints(nlp, current, found, (angles, offsets)))
     symbols = {
         "x": casadi.vertcat(model.variables, angles, offsets),
         "p": casadi.vertcat(model.start, model.signs),
-        "f": cost_expression(model, nlp.cost),
+        "f": cost,
         "g": casadi.vertcat(*(part.value for part in parts)),
     }
     solver = casadi.nlpsol("reference", "ipopt", symbols, _options(max_time))
@@ -165,16 +174,20 @@ def _options(max_time: float) -> dict[str, _Option]:
 
 def _path_constraints(nlp: NonlinearProgram, model: SymbolicModel) -> _Program:
     """Add the constraints of goal pose and curvature rate."""
-    basis = nlp.basis
-    goal = model.poses[-1, :].T
+    goal, zero = end_error(model, nlp.ends.target), np.zeros(3)
     if not np.isfinite(nlp.bounds.rate):
-        return _Program(goal, nlp.ends.target, nlp.ends.target)
-    lengths = model.variables[basis.num_knots :]
-    allowed = nlp.bounds.rate * lengths[basis.span_gear.tolist(), :]
-    value = casadi.vertcat(goal, model.slopes - allowed, -model.slopes - allowed)
-    count = 2 * basis.span_gear.size
-    lower = np.concatenate((nlp.ends.target, np.full(count, -np.inf)))
-    return _Program(value, lower, np.concatenate((nlp.ends.target, np.zeros(count))))
+        return _Program(goal, zero, zero)
+    rates = rate_rows(model, nlp.bounds.rate)
+    lower = np.concatenate((zero, np.full(rates.shape[0], -np.inf)))
+    return _Program(casadi.vertcat(goal, rates), lower, np.zeros(lower.size))
+
+
+def _term_constraints(nlp: NonlinearProgram, current: Iterate, hard: casadi.SX) -> _Program:
+    """Keep hard terms above the buffer of the sequential steps, which vanishes at the ends."""
+    settings, ends = nlp.settings.step, (nlp.ends.start, nlp.ends.target)
+    away = np.min([np.hypot(*(current.rollout.poses[:, :2] - end[:2]).T) for end in ends], axis=0)
+    buffer = settings.buffer * np.minimum(1.0, away / settings.buffer_taper) - _ROUNDING
+    return _Program(casadi.vec(hard), np.tile(buffer, hard.shape[1]), np.full(hard.numel(), np.inf))
 
 
 def _line_constraints(
@@ -208,65 +221,3 @@ def _required_expression(current: Iterate, found: Clearance, node: IntArray, pos
     """Return the required clearance at nodes, to first order in their positions around those of the last round."""
     value, gradient = casadi.DM(found.required.value[node]), casadi.DM(found.required.gradient[node])
     return value + casadi.sum2(gradient * (pose[:, :2] - casadi.DM(current.rollout.poses[node, :2])))
-
-
-class SymbolicModel(NamedTuple):
-    """Symbolic path of one shape.
-
-    Attributes:
-        variables: Knot curvatures, then gear lengths, Shape (size, 1).
-        start: Start pose, Shape (3, 1).
-        signs: Gears, Shape (num_gears, 1).
-        poses: Node poses, Shape (num_nodes, 3).
-        slopes: Curvature rate times gear length of every span, Shape (number of spans, 1).
-        roll_out: Function of variables, start and signs that returns `poses`.
-    """
-
-    variables: casadi.SX
-    start: casadi.SX
-    signs: casadi.SX
-    poses: casadi.SX
-    slopes: casadi.SX
-    roll_out: casadi.Function
-
-
-@lru_cache(maxsize=16)
-def model_for(shape: Shape) -> SymbolicModel:
-    """Return the model of a shape, cached."""
-    basis = basis_for(shape)
-    variables = casadi.SX.sym("z", basis.size)
-    start, signs = casadi.SX.sym("start", 3), casadi.SX.sym("signs", basis.num_gears)
-    curvature, lengths = variables[: basis.num_knots], variables[basis.num_knots :]
-    turned = _spread(basis.knot_members) @ lengths * curvature
-    yaw = start[2] + _spread(basis.gauss_headings) @ turned
-    weight = _spread(basis.gauss_shares) @ (lengths * signs)
-    pairs = _spread(np.repeat(np.eye(basis.num_intervals), 2, axis=1))
-    columns = []
-    for i, move in enumerate((weight * casadi.cos(yaw), weight * casadi.sin(yaw))):
-        path = casadi.vertcat(start[i], start[i] + casadi.cumsum(pairs @ move))
-        columns.append(path[basis.position_of.tolist(), :])
-    columns.append(start[2] + _spread(basis.node_headings) @ turned)
-    poses = casadi.horzcat(*columns)
-    slopes = _spread(basis.span_slopes) @ curvature
-    roll_out = casadi.Function("roll_out", [variables, start, signs], [poses], ["z", "start", "signs"], ["poses"])
-    return SymbolicModel(variables, start, signs, poses, slopes, roll_out)
-
-
-def _spread(matrix: FloatArray) -> casadi.DM:
-    """Return a constant matrix in sparse form."""
-    return casadi.sparsify(casadi.DM(matrix))
-
-
-def cost_expression(model: SymbolicModel, cost: CostModel) -> casadi.SX:
-    """Return the cost of `smoothers.scp.cost` as an expression in the model's symbols."""
-    basis: Basis = cost.basis
-    bend, jerk = cost.factors
-    curvature, lengths = model.variables[: basis.num_knots], model.variables[basis.num_knots :]
-    total = casadi.sum1(lengths)
-    value = cost.weights.length * total
-    per_knot = _spread(basis.knot_members) @ lengths
-    value += bend * casadi.dot(per_knot * curvature, _spread(basis.mass) @ curvature)
-    value += jerk * casadi.dot(curvature / per_knot, _spread(basis.stiffness) @ curvature)
-    normals, positions = casadi.DM(cost.reference.normals), casadi.DM(cost.reference.positions)
-    lateral = casadi.sum2(normals * (model.poses[:, :2] - positions))
-    return value + cost.weights.tracking * total / basis.num_intervals * casadi.dot(lateral, lateral)

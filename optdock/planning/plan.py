@@ -171,6 +171,9 @@ class DockPlan:
         parts = [f"{status}: {self.path.driven:.2f} m in {self.trajectory.duration:.2f} s"]
         if math.isfinite(self.certificate.min_clearance):
             parts.append(f"closest {self.certificate.min_clearance:.3f} m to {in_words(self.certificate.nearest)}")
+        if self.smoothing_report.sampled:
+            names = ", ".join(bound.name for bound in self.smoothing_report.sampled)
+            parts.append(f"sampled, not proven: {names}")
         if "total" in self.timing_ms:
             parts.append(f"planned in {self.timing_ms['total']:.1f} ms")
         return ", ".join(parts)
@@ -217,7 +220,8 @@ class DockPlan:
         Raises:
             InvalidValue: If the period is not > 0, or is far too small.
         """
-        certificate = self.certificate
+        certificate, sampled = self.certificate, self.smoothing_report.sampled
+        own: dict[str, object] = {"sampled": [bound.as_dict() for bound in sampled]} if sampled else {}
         return PlanFile(
             status=CERTIFIED,
             completed=self.completed,
@@ -226,7 +230,7 @@ class DockPlan:
             path=self.path,
             trajectory=TrajectoryColumns.from_trajectory(self.trajectory, period),
             time_law=self.trajectory.time_law,
-            certificate={**certificate.as_dict(), "trajectory": self.trajectory_certificate.as_dict()},
+            certificate={**certificate.as_dict(), "trajectory": self.trajectory_certificate.as_dict(), **own},
             timing_ms=self.timing_ms,
             tried=tuple(attempt.as_dict() for attempt in self.tried),
             proof=proof_of(self.path, self.problem, certificate.start_relief) if proof else None,

@@ -41,6 +41,7 @@ from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plugins.interfaces import (
     LifecycleState,
     PluginContext,
+    SampledBound,
     Smoother,
     SmoothingReport,
     SmoothingResult,
@@ -79,6 +80,7 @@ __all__ = [
     "plain",
     "ran_out_of_time",
     "returned",
+    "sampled_bounds",
     "stopping_at_bends",
     "straight_along_contact",
 ]
@@ -255,7 +257,8 @@ class Refinement:
             if kept > 0.0:
                 path = begun_straight(self.problem.start, int(raw.segments[0].direction), kept, path)
         plan = self.proven(raw, path, so_far)
-        return replace(plan, completed=result.completed, smoothing_report=result.report)
+        report = replace(result.report, sampled=plan.smoothing_report.sampled)
+        return replace(plan, completed=result.completed, smoothing_report=report)
 
     def deformed(
         self, path: Path, most_pushes: int, *, steers: bool = True, speed: float = 0.0
@@ -302,6 +305,8 @@ class Refinement:
     def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
         """Return the certified plan along a path that needs no smoothing; other arguments are as in `refined`.
 
+        Every path must satisfy the smoother's own bounds at samples, whether the smoother made it or not.
+
         `is_late` is polled during the certificate of the path; `asked_to_stop` by default.
 
         Raises:
@@ -311,8 +316,12 @@ class Refinement:
         with self.timed("certify"):
             certificate = so_far.certificate = certify_path(path, self.problem, is_late=is_late or self.asked_to_stop)
             self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
+            sampled = sampled_bounds(self.smoother, path, self.problem, self.cancelled)
+            broken = next((bound for bound in sampled if not bound.holds), None)
+            if broken is not None:
+                raise broken.failure(path)
         motion, report = self._certified_motion(path)
-        return DockPlan(motion, raw, timing_report=report)
+        return DockPlan(motion, raw, smoothing_report=SmoothingReport(sampled=sampled), timing_report=report)
 
     def _smoothed(
         self, raw: Path, kept: float, most: float, so_far: PartialPlan, begun: Path | None, *, is_given: bool
@@ -460,6 +469,21 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
     if cancelled.raised is not None:  # the plugin suppressed the cancellation
         raise cancelled.raised
+
+
+def sampled_bounds(
+    smoother: Smoother, path: Path, problem: DockingProblem, cancelled: Cancellation, before: float = 0.0
+) -> tuple[SampledBound, ...]:
+    """Return the smoother's own bounds at samples of a path, `before` metres of driving after its start.
+
+    Raises:
+        PluginError: If the smoother fails, or returns something else.
+    """
+    if type(smoother).sampled_bounds is Smoother.sampled_bounds:
+        return ()
+    with at_work(smoother, problem, cancelled):
+        found = returned(smoother.sampled_bounds(path, before=before), tuple, smoother, "its sampled bounds")
+    return tuple(returned(bound, SampledBound, smoother, "a sampled bound") for bound in found)
 
 
 def ran_out_of_time(what: str, budget: float) -> str:

@@ -45,7 +45,7 @@ from optdock.model.trajectory import Trajectory
 from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
-from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time
+from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time, sampled_bounds
 from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
@@ -212,7 +212,8 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
     plugins = _Plugins(planner, smoother, timing)
     warm_up(*plugins)
     deadline = Deadline(time_budget)
-    run = _Replanning(RunningDrive(plan, world, state), time_budget, lead, Cancellation(cancel_checker), deadline)
+    drive, smoothing = RunningDrive(plan, world, state), plugin_from(Smoother, smoother, "smoother")
+    run = _Replanning(drive, time_budget, lead, Cancellation(cancel_checker), deadline, smoothing)
     with garbage_collection_paused():
         found = run.answer(min(drive_delay, lead), plugins)
     logger.info("%r after %.1f ms", found, 1e3 * run.deadline.elapsed)
@@ -258,6 +259,7 @@ class _Replanning:
     lead: float
     cancelled: Cancellation
     deadline: Deadline
+    smoother: Smoother
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
@@ -291,10 +293,9 @@ class _Replanning:
         rest = joint.rest
         straight = self.drive.world.dock.final_straight
         if rest is not None and (len(rest.segments) > 1 or rest.length > straight):
-            smoother = plugin_from(Smoother, plugins.smoother, "smoother")
             timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
             limits = self.cancelled, self.budget, deadline, self.timing_ms
-            work = Refinement(problem, smoother, timing, rest, *limits)
+            work = Refinement(problem, self.smoother, timing, rest, *limits)
             plan = self._in_the_same_gears(joint, rest, problem, work)
             if plan is not None:
                 return self._new(joint, until, plan)
@@ -349,7 +350,10 @@ class _Replanning:
         return plan
 
     def _kept(self, why: str) -> Replanned | None:
-        """Return the old plan if it is still valid with the station at its end, within the dock's tolerances."""
+        """Return the old plan if it is still valid with the station at its end, within the dock's tolerances.
+
+        Its rest must also satisfy the smoother's own bounds at samples.
+        """
         path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
@@ -358,11 +362,19 @@ class _Replanning:
             found = prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
         else:
             found = self._goes_back(path, world)
-        if found.way is None:
+        if found.way is None or not self._keeps_own_bounds(path):
             return None
         tried, timing = tuple(self.tried), self._timing()
         running, plan = self.drive.plan.trajectory, self.drive.plan
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
+
+    def _keeps_own_bounds(self, path: Path) -> bool:
+        """Whether the rest of the running path satisfies the smoother's own bounds at samples."""
+        now = self.drive.now.s if self.drive.is_on_the_path else self.drive.now.s - _NEARBY
+        begin = min(max(0.0, now), max(0.0, path.length - NO_WAY))
+        before = path.piece(0.0, begin).driven if begin > NO_WAY else 0.0
+        found = sampled_bounds(self.smoother, path.piece(begin), self.drive.world, self.cancelled, before)
+        return all(bound.holds for bound in found)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
         """Prove the clearance of the rest of the path, by the plan's clearance rule, for a robot off the path."""

@@ -19,6 +19,7 @@ from optdock.plugins.outcomes import (
     Contact,
     CostmapInfoType,
     Guess,
+    SampledBound,
     SmoothingReport,
     SmoothingResult,
     SmoothingStatus,
@@ -53,6 +54,7 @@ __all__ = [
     "LifecycleState",
     "Plugin",
     "PluginContext",
+    "SampledBound",
     "Smoother",
     "SmoothingReport",
     "SmoothingResult",
@@ -145,6 +147,17 @@ class Smoother(Plugin):
             FailedToSmoothPath: If no result satisfies every bound; the message names the violated bound.
             SmootherCancelled: If `cancel_checker` returned True.
         """
+
+    def sampled_bounds(self, path: Path, *, before: float = 0.0) -> tuple[SampledBound, ...]:  # noqa: ARG002 - a hook
+        """Return the smoother's own bounds, which no certificate covers, at samples of any path; by default none.
+
+        The pipeline returns no path that violates one of these bounds, also if the path is not a result of `smooth`.
+
+        Args:
+            path: Path in the frame of the problem.
+            before: Distance driven before the path [m].
+        """
+        return ()
 
     @staticmethod
     def check_task(path: Path, problem: DockingProblem | None, warm_start: Path | None) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.errors import FailedToTimePath, TimingTimedOut
+from optdock.errors import FailedToSmoothPath, FailedToTimePath, TimingTimedOut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,6 +22,7 @@ __all__ = [
     "Contact",
     "CostmapInfoType",
     "Guess",
+    "SampledBound",
     "SmoothingReport",
     "SmoothingResult",
     "SmoothingStatus",
@@ -31,12 +32,51 @@ __all__ = [
     "Tolerances",
 ]
 
+_SAMPLED_TOLERANCE = 1e-6  # as the certificate's
+
 
 class Guess(NamedTuple):
     """Raw path of a planner, exactly from the start to the goal, and the name of the stage that found the path."""
 
     path: Path
     stage: str = ""
+
+
+class SampledBound(NamedTuple):
+    """Bound `value >= 0` of a smoother, evaluated at samples of a path: it is not proven between them.
+
+    `name`: name of the bound. `least`: smallest value at a sample; -inf if a value is not a finite number. `s`: path
+    coordinate of this value [m]. `spacing`: largest distance between samples [m].
+    """
+
+    name: str
+    least: float
+    s: float
+    spacing: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound holds at all samples, up to 1e-6."""
+        return self.least >= -_SAMPLED_TOLERANCE
+
+    @property
+    def violation(self) -> str:
+        """Sentence about the violation of the bound."""
+        return f"the term {self.name!r} is {self.least:.4g} at s = {self.s:.3f} m, must be >= 0"
+
+    def failure(self, path: Path) -> FailedToSmoothPath:
+        """Return the error that describes the violation on `path`."""
+        pose = path.poses_at(self.s)[0].tolist()
+        where = {"reason": "term", "term": self.name, "s": self.s, "amount": -self.least, "obstacle": "", "pose": pose}
+        return FailedToSmoothPath(f"term: {self.violation}", where=where)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain values for a plan file."""
+        return {**self._asdict(), "verdict": "sampled, not proven"}
+
+    def __str__(self) -> str:
+        least = f"{self.name}: at least {self.least:.4g} at s = {self.s:.3f} m"
+        return f"{least}, sampled every {self.spacing:g} m, not proven"
 
 
 class SmoothingStatus(str, Enum):
@@ -65,6 +105,7 @@ class SmoothingReport:
         certificate: Certificate that the smoother computed; the pipeline certifies the path again.
         extra: Further entries.
         warning: Warning for the user, or empty.
+        sampled: Own bounds of the smoother at samples of the path, which no certificate covers.
     """
 
     status: SmoothingStatus | None = None
@@ -78,6 +119,7 @@ class SmoothingReport:
     certificate: Certificate | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
     warning: str = ""
+    sampled: tuple[SampledBound, ...] = ()
 
     def __repr__(self) -> str:
         parts = [self.status.value] if self.status is not None else []
@@ -86,6 +128,7 @@ class SmoothingReport:
         parts += [f"{1e3 * self.total_s:.1f} ms"] if self.total_s is not None else []
         if self.certificate is not None:
             parts.append("certified" if self.certificate.certified else "not certified")
+        parts += map(str, self.sampled)
         parts += [f"warning: {self.warning}"] if self.warning else []
         return f"<SmoothingReport {', '.join(parts) or 'empty'}>"
 

@@ -51,6 +51,10 @@ class Quadratic(NamedTuple):
     gradient: FloatArray
     hessian: FloatArray
 
+    def plus(self, other: Quadratic) -> Quadratic:
+        """Return the sum of two models."""
+        return Quadratic(self.gradient + other.gradient, self.hessian + other.hessian)
+
 
 @dataclass(frozen=True, eq=False)
 class CostModel:

@@ -16,10 +16,11 @@ import numpy as np
 
 from optdock.deadline import never_late
 from smoothers.scp.collision.clearance_along import clearance_along
-from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
+from smoothers.scp.collision.linearization import active_pairs, linearized_clearance
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
 from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
+from smoothers.scp.term_rows import linearized_terms, terms_along
 from smoothers.scp.visibility_constraint import linearized_view, view_along
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import LoopSettings
+    from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
 __all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"]
@@ -52,15 +54,16 @@ class Iterate(NamedTuple):
     rollout: Rollout
     cost: float  # value of the cost
     clearance: Clearance  # near pairs
-    zones: FloatArray  # largest shortfall of clearance and view in each zone, >= 0, Shape (zones,) [m]
+    zones: FloatArray  # largest shortfall of clearance, view and hard terms in each zone, >= 0, Shape (zones,) [m]
     end_error: FloatArray  # Shape (3,) [m, m, rad]
     on_goal: bool  # whether the path ends at the target
     feasible: bool  # whether the path may be certified
     view: SeenPlaces | None = None  # view margins, or None without a required view
+    terms: TermsAlong | None = None  # terms of the user, or None
 
     @property
     def shortfall(self) -> float:
-        """Largest shortfall of clearance or view [m]."""
+        """Largest shortfall of clearance, view or a hard term [m]."""
         return float(self.zones.max())
 
     @property
@@ -157,11 +160,16 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         given = (view.node == 0) | (view.node == basis.num_nodes - 1)  # as above
         unseen = np.where(given, -settings.end_allowance, 0.0) - view.margin.min(axis=0)
         np.maximum.at(zones, zone_of(basis, view.node, count), unseen)
+    cost = nlp.cost.value(variables, rollout)
+    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, variables, rollout)
+    if terms is not None:
+        terms.short[[0, -1]] -= settings.end_allowance  # as above
+        np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
+        cost += terms.cost
     error = nlp.ends.error(rollout)
     on_goal = float(np.abs(error).max()) <= settings.goal_tolerance
     feasible = on_goal and float(zones.max()) <= settings.clearance_tolerance
-    cost = nlp.cost.value(variables, rollout)
-    return Iterate(variables, rollout, cost, found, zones, error, on_goal, feasible, view)
+    return Iterate(variables, rollout, cost, found, zones, error, on_goal, feasible, view, terms)
 
 
 def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subproblem:
@@ -177,13 +185,17 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active)
     if nlp.view is not None and current.view is not None:
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
-        rows = ClearanceRows(*(np.concatenate(both) for both in zip(rows, seeing, strict=True)))
+        rows = rows.joined(seeing)
+    quadratic = nlp.cost.quadratic(current.variables, rollout, by)
+    if nlp.terms is not None and current.terms is not None:
+        points, reach = current.terms.points, nlp.settings.view.reach
+        added, bounded = linearized_terms(nlp.terms, basis, current.variables, points, by, reach)
+        rows, quadratic = rows.joined(bounded), quadratic.plus(added)
     rows = rows.lowest(most)
     # The buffer vanishes at the ends, where the pose cannot move.
     away = [np.hypot(*(rollout.poses[:, :2] - point[:2]).T) for point in (nlp.ends.start, nlp.ends.target)]
     wanted = buffer * np.minimum(1.0, np.minimum(away[0], away[1]) / settings.buffer_taper)
     rows = rows._replace(gap=rows.gap - wanted[rows.node])
-    quadratic = nlp.cost.quadratic(current.variables, rollout, by)
     return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
 
 

@@ -5,6 +5,7 @@
                 pose at the end = goal, moved back by the final straight
                 clearance of the swept footprint >= required clearance       (`collision`)
                 marker of the dock inside the camera's view                  (`visibility_constraint`)
+                hard terms of the user >= 0; soft terms add to J             (`term_rows`)
 
 K: curvatures at the knots, L: lengths of the gears. The final straight is given and has no variables.
 """
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from smoothers.scp.cost import Weights
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import BoundSettings, ResolutionSettings, Settings
+    from smoothers.scp.term_rows import TermBound
     from smoothers.scp.visibility_constraint import ViewBound
 
 __all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
@@ -92,6 +94,7 @@ class NonlinearProgram:
     radius: float  # smallest turning radius, at least 0.5 m [m]
     settings: Settings
     view: ViewBound | None = None  # required view along the path, or None
+    terms: TermBound | None = None  # costs and constraints of the user, or None
 
 
 class Formulation(NamedTuple):
@@ -165,7 +168,8 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
     headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
     traced = TracedInput(positions, headings, nlp.traced.end_yaw)
     cost = replace(nlp.cost, basis=basis, reference=InputNodes(positions, normals))
-    return replace(nlp, basis=basis, cost=cost, traced=traced)
+    terms = None if nlp.terms is None else replace(nlp.terms, margins=0.0)
+    return replace(nlp, basis=basis, cost=cost, traced=traced, terms=terms)
 
 
 def free_lengths(path: Path, final_straight: float) -> FloatArray:

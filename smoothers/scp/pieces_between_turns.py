@@ -22,8 +22,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.segments import SAME_YAW
 from optdock.planning.plan import PartialPlan
 from optdock.plugins.interfaces import SmoothingStatus
-from optdock.verification import certify_path
-from smoothers.scp.refusals import refuse_certificate, refuse_turns
+from smoothers.scp.refusals import refuse_turns
 from smoothers.scp.search import Call, Incumbent, SearchOutcome, Solver, straight_line
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class TurningSolver:
         refusal = refuse_turns(call.path, call.problem)
         if refusal is not None:
             raise refusal.error()
-        found = self._joined(call, keeps_straight=True)
+        found = self._joined(call, keeps_straight=call.terms is None or not call.terms.soft)
         best = self._certified(found, call, is_final=not found.kept)
         if best is None:
             best = self._certified(self._joined(call, keeps_straight=False), call, is_final=True)
@@ -104,7 +103,9 @@ class TurningSolver:
                 found = found._replace(cost=found.cost + call.formulation.weights.length * line.length, kept=True)
             else:
                 after = sum(later.length for later in parts[i + 1 :] if isinstance(later, Path))
-                asked = call._replace(path=part, problem=piece, earlier=earlier[i], within=problem, after=after)
+                before = sum(one.length for one in found.segments if not isinstance(one, TurnSegment))
+                asked = call._replace(path=part, problem=piece, earlier=earlier[i], within=problem)
+                asked = asked._replace(after=after, before=before)
                 best = self._smoothed(asked, found.segments, max(to_search, 1))
                 found.segments.extend(best.path.segments)
                 found = found._replace(cost=found.cost + best.cost)
@@ -138,23 +139,23 @@ class TurningSolver:
         return best
 
     def _certified(self, found: _Joined, call: Call, *, is_final: bool) -> Incumbent | None:
-        """Return the whole path if it is certified; otherwise raise the violation if `is_final`, or return None."""
+        """Return the whole path if it is accepted; otherwise raise the violation if `is_final`, or return None."""
         began, problem = self.deadline.elapsed, call.problem
         if not found.segments:
             raise FailedToSmoothPath("goal_unreachable: the raw path has no piece left between its turns", where={})
         path = Path(tuple(found.segments), problem.frame)
         latest = self.settings.anytime.latest
-        certificate = certify_path(path, problem, is_late=lambda: self.deadline.left < -latest)
+        verdict = call.judged(path, lambda: self.deadline.left < -latest)
         self.outcome.certify_time += self.deadline.elapsed - began
-        if certificate.certified:
+        if verdict.accepted:
             self.outcome.first_certified = self.deadline.elapsed
             kept = SmoothingStatus.INPUT_KEPT if self.outcome.iterations == 0 else None
-            return Incumbent(path, certificate, found.cost, kept)
+            return Incumbent(path, verdict.certificate, found.cost, kept)
         if self.deadline.passed():
             message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
             raise SmootherTimedOut(message, where={"iterations": self.outcome.iterations})
         if is_final:
-            raise refuse_certificate(certificate, path).error()
+            raise verdict.refusal(path).error()
         return None
 
 

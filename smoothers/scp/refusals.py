@@ -11,22 +11,26 @@ import numpy as np
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.obstacles import in_words
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.dock import DockDirection
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.planning.plan import PartialPlan
 from optdock.verification import end_clearances, pose_clearances
 from optdock.verification.visibility import prove_view
 from smoothers.scp.goal_projection import driven_path, exact_path
+from smoothers.scp.term_samples import SPACING, sampled_terms
+from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
+    from optdock.plugins.outcomes import SampledBound
     from optdock.verification import Certificate, Violation
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import NonlinearProgram
+    from smoothers.scp.term_functions import TermSet
 
 __all__ = [
     "Refusal",
@@ -34,6 +38,8 @@ __all__ = [
     "refuse_certificate",
     "refuse_search",
     "refuse_start",
+    "refuse_term",
+    "refuse_terms_at_ends",
     "refuse_turns",
     "refuse_unseen_approach",
 ]
@@ -179,7 +185,7 @@ def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
 def refuse_search(
     nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
 ) -> Refusal:
-    """Return the refusal for the constraint that a failed search violates: goal, clearance or view.
+    """Return the refusal for the constraint that a failed search violates: goal, clearance, view or a hard term.
 
     The search may still succeed from other inputs.
 
@@ -190,15 +196,85 @@ def refuse_search(
         whole: Problem of the whole path, whose clearance rule applies; None means `problem`.
     """
     is_clear = closest.clearance.margin.size == 0
-    if not closest.on_goal or (is_clear and nlp.view is None):
+    if not closest.on_goal or (is_clear and nlp.view is None and nlp.terms is None):
         return _unreachable(nlp, closest, problem)
     path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
     judged = problem if whole is None else whole
     unseen = _lost_view(path, judged) if problem.goal == judged.goal else None
+    other = unseen or _broken_term(nlp, path, problem.dock.final_straight)
     if is_clear:
-        return unseen or _unreachable(nlp, closest, problem)
+        return other or _unreachable(nlp, closest, problem)
     too_close = _too_close(path, judged, closest.shortfall, nlp.scene.start_relief)
-    return unseen if unseen is not None and too_close.amount <= _TOLERANCE else too_close
+    return other if other is not None and too_close.amount <= _TOLERANCE else too_close
+
+
+def _broken_term(nlp: NonlinearProgram, path: Path, straight: float) -> Refusal | None:
+    """Return the refusal of the first hard term that the best path found violates, or None."""
+    bound = nlp.terms
+    if bound is None:
+        return None
+    sampled = sampled_terms(bound.terms, path, bound.before, bound.after - straight)
+    broken = next((one for one in sampled if not one.holds), None)
+    if broken is None:
+        return None
+    found = refuse_term(broken, path)
+    return found._replace(message=f"{_NEAR_THIS_GUESS} on the best path found {found.message}")
+
+
+def refuse_term(broken: SampledBound, path: Path) -> Refusal:
+    """Return the refusal for a hard term that is negative at a sample of `path`."""
+    at, more = path.poses_at(broken.s)[0], {"term": broken.name}
+    return Refusal("term", broken.s, -broken.least, "", broken.violation, at, more, path)
+
+
+def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, after: float | None) -> Refusal | None:
+    """Return the refusal of a hard term at the start or on the final straight, which every path contains, or None.
+
+    Terms that read a symbol whose value is not the same on all paths are not evaluated.
+
+    Args:
+        path: Input, whose gears all paths have.
+        problem: Start and goal.
+        terms: Terms.
+        after: Distance left to drive from the goal of the problem [m]; None: only the start is checked.
+    """
+    points, (first, last) = np.zeros((1, len(SYMBOLS))), (path.segments[0].direction, path.segments[-1].direction)
+    points[0, :3], points[0, 6] = problem.start.as_array(), int(first)
+    fixed = {"x", "y", "yaw", "gear"}
+    if problem.start_curvature is not None:
+        points[0, 3] = problem.start_curvature
+    broken = _lowest(terms, points, fixed if problem.start_curvature is None else {*fixed, "curvature"})
+    if broken is not None:
+        message = f"{broken[1]} at the start, where every path begins"
+        return Refusal("term", 0.0, broken[2], "", message, points[0, :3], {"term": broken[3]})
+    if after is None:
+        return None
+    goal, straight = problem.goal, problem.dock.final_straight
+    back = np.linspace(straight, 0.0, max(1, math.ceil(straight / SPACING)) + 1)
+    points = np.zeros((back.size, len(SYMBOLS)))
+    points[:, 0] = goal.x - int(last) * back * math.cos(goal.yaw)
+    points[:, 1] = goal.y - int(last) * back * math.sin(goal.yaw)
+    points[:, 2], points[:, 5], points[:, 6] = goal.yaw, back + after, int(last)
+    broken = _lowest(terms, points, {*fixed, "remaining", *(["curvature"] if straight > 0.0 else [])})
+    if broken is None:
+        return None
+    row = broken[0]
+    place = "at the goal" if back[row] == 0.0 else f"on the final straight, {back[row]:.3f} m before the goal"
+    message = f"{broken[1]} {place}, where every path ends"
+    return Refusal("term", path.length - float(back[row]), broken[2], "", message, points[row, :3], {"term": broken[3]})
+
+
+def _lowest(terms: TermSet, points: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
+    """Return the point, a sentence, the amount and the name of the first violated term that reads only `known`."""
+    points[:, 2] = wrap_angles(points[:, 2])
+    values = terms.values(points)
+    values[~np.isfinite(values)] = -np.inf
+    for k, term in enumerate(terms.hard):
+        row = int(np.argmin(values[:, k]))
+        value = float(values[row, k])
+        if term.function.reads <= known and value < -_TOLERANCE:
+            return row, f"the term {term.name!r} is {value:.4g}, must be >= 0,", -value, term.name
+    return None
 
 
 def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:

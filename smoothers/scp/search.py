@@ -30,8 +30,12 @@ from smoothers.scp.refusals import (
     refuse_certificate,
     refuse_search,
     refuse_start,
+    refuse_term,
+    refuse_terms_at_ends,
     refuse_unseen_approach,
 )
+from smoothers.scp.term_rows import TermBound, tightened
+from smoothers.scp.term_samples import sampled_cost, sampled_terms
 from smoothers.scp.visibility_constraint import ViewBound
 
 if TYPE_CHECKING:
@@ -41,12 +45,15 @@ if TYPE_CHECKING:
     from optdock.errors import SmootherException
     from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
+    from optdock.plugins.outcomes import SampledBound
     from optdock.verification import Certificate
     from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.loop import Iterate, SearchGuess
     from smoothers.scp.nlp import Formulation, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
+    from smoothers.scp.refusals import Refusal
     from smoothers.scp.settings import AnytimeSettings, Settings, ViewSettings
+    from smoothers.scp.term_functions import TermSet
 
 __all__ = [
     "STRATEGY",
@@ -57,6 +64,7 @@ __all__ = [
     "Search",
     "SearchOutcome",
     "Solver",
+    "Verdict",
     "direct_line",
     "is_clothoid_answer",
     "straight_line",
@@ -65,6 +73,24 @@ __all__ = [
 
 # Violations that concern the ends of a path only. The stretch in view is measured from the end of the whole path.
 _OF_THE_ENDS = ("start", "goal", "direction", "start_curvature", "final_straight")
+
+
+class Verdict(NamedTuple):
+    """Certificate of a path, and the hard terms at samples of a certified path."""
+
+    certificate: Certificate
+    sampled: tuple[SampledBound, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the path is certified and no hard term is negative at a sample."""
+        return self.certificate.certified and all(bound.holds for bound in self.sampled)
+
+    def refusal(self, path: Path) -> Refusal:
+        """Return the refusal for the first violation on `path`."""
+        if not self.certificate.certified:
+            return refuse_certificate(self.certificate, path)
+        return refuse_term(next(bound for bound in self.sampled if not bound.holds), path)
 
 
 class Call(NamedTuple):
@@ -79,20 +105,24 @@ class Call(NamedTuple):
     # for a piece of a path, the problem of the whole path, whose clearance rule applies; else None
     within: DockingProblem | None = None
     after: float = 0.0  # length of the path after the piece [m]
+    before: float = 0.0  # length of the path before the piece [m]
+    terms: TermSet | None = None  # costs and constraints of the user, or None
 
     @property
     def whole(self) -> DockingProblem:
         """Problem of the whole path, whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
-    def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
-        """Return the certificate of a path; for a piece, violations that concern ends of the whole path are removed."""
+    def judged(self, path: Path, is_late: Callable[[], bool]) -> Verdict:
+        """Return the verdict on a path; for a piece, violations that concern ends of the whole path are removed."""
         certificate = certify_path(path, self.whole, is_late=is_late)
-        if self.within is None:
-            return certificate
-        others = _OF_THE_ENDS if self.problem.goal == self.whole.goal else (*_OF_THE_ENDS, "view")
-        broken = tuple(violation for violation in certificate.violations if violation.kind not in others)
-        return replace(certificate, violations=broken)
+        if self.within is not None:
+            others = _OF_THE_ENDS if self.problem.goal == self.whole.goal else (*_OF_THE_ENDS, "view")
+            broken = tuple(violation for violation in certificate.violations if violation.kind not in others)
+            certificate = replace(certificate, violations=broken)
+        if self.terms is None or not certificate.certified:
+            return Verdict(certificate)
+        return Verdict(certificate, sampled_terms(self.terms, path, self.before, self.after, is_late))
 
 
 class Given(NamedTuple):
@@ -196,8 +226,8 @@ class SearchOutcome:
     last: Iterate | None = None
     converged: bool = False  # whether the search ended without a time limit
     iterations: int = 0  # number of steps
-    # last candidate that was not certified, and its certificate, or None
-    refused: tuple[Path, Certificate] | None = None
+    # last candidate that was not accepted, and the verdict on it, or None
+    refused: tuple[Path, Verdict] | None = None
     setup_time: float = 0.0  # time from the start of the call to the first search [s]
     first_certified: float | None = None  # time from the start of the call to the first certificate [s], or None
     certify_time: float = 0.0  # time for certificates [s]
@@ -221,7 +251,11 @@ class IterationTimes:
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
         """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
         self.iteration = pace * self.expected_iteration(nlp)
-        self.certificate = self.certificate or pace * _expected(nlp, self._settings.certificate_seconds)
+        certificate = _expected(nlp, self._settings.certificate_seconds)
+        if nlp.terms is not None and nlp.terms.terms.hard:
+            once, per_metre = self._settings.term_seconds
+            certificate += once + per_metre * float(nlp.lengths.sum())
+        self.certificate = self.certificate or pace * certificate
 
     def expected_iteration(self, nlp: NonlinearProgram) -> float:
         """Return the predicted time [s] of an iteration on the benchmark machine."""
@@ -359,6 +393,9 @@ class Solver:
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None and problem.goal == call.whole.goal:
             refusal = refuse_approach(path, call.whole, start_clearance) or refuse_unseen_approach(path, call.whole)
+        if refusal is None and call.terms is not None:
+            after = call.after if problem.goal == call.whole.goal else None
+            refusal = refuse_terms_at_ends(path, problem, call.terms, after)
         if refusal is not None:
             raise refusal.error()
         self._raise_if_late()
@@ -376,7 +413,7 @@ class Solver:
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
         nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
-        nlp = _with_view(nlp, call, self.settings.view)
+        nlp = _with_terms(_with_view(nlp, call, self.settings.view), call, self.settings.view)
         self.times.expect(nlp, self.pool.pace if clock_name() != "counted" else 1.0)
         return nlp, InitialGuesses(nlp, earlier, self.pool, self.times.no_more_iterations)
 
@@ -399,16 +436,19 @@ class Solver:
         if not outcome.converged or closest is None:
             return self._timed_out()
         if outcome.refused is not None and closest.feasible:
-            path, certificate = outcome.refused
-            return refuse_certificate(certificate, path).error()
+            path, verdict = outcome.refused
+            return verdict.refusal(path).error()
         return refuse_search(self._nlp, closest, self.call.problem, self.call.whole).error()
 
     def _offer(self, path: Path, status: SmoothingStatus) -> None:
-        """Accept a given path if it is certified."""
-        certificate = self._judged(path, self.deadline.elapsed)
-        if certificate.certified:
-            cost = self._nlp.cost.of_clothoids(path, self.call.problem.dock.final_straight)
-            self.outcome.incumbent = Incumbent(path, certificate, cost, status)
+        """Accept a given path if it is certified and satisfies the hard terms."""
+        verdict, call = self._judged(path, self.deadline.elapsed), self.call
+        if verdict.accepted:
+            straight = call.problem.dock.final_straight
+            cost = self._nlp.cost.of_clothoids(path, straight)
+            if call.terms is not None:
+                cost += sampled_cost(call.terms, path, straight, call.before, call.after)
+            self.outcome.incumbent = Incumbent(path, verdict.certificate, cost, status)
             self.outcome.first_certified = self.deadline.elapsed
 
     def _search_and_repair(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
@@ -419,9 +459,24 @@ class Solver:
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
+            if nlp.terms is not None and self._breaks_a_term():
+                nlp = self._tightened(nlp, refused)
+                guess = guess._replace(variables=refused.variables)
+                continue
             finer = [chosen.repair_finer * cells for _, cells in nlp.basis.shape]
             nlp = _more_cautious(nlp, chosen) if refused.feasible else with_intervals(nlp, finer)
             guess = guess._replace(variables=refused.variables)
+
+    def _breaks_a_term(self) -> bool:
+        """Whether the last refused candidate is certified, and violates a hard term."""
+        return self.outcome.refused is not None and self.outcome.refused[1].certificate.certified
+
+    def _tightened(self, nlp: NonlinearProgram, refused: Iterate) -> NonlinearProgram:
+        """Return the program with margins of the hard terms where the refused candidate violates them."""
+        assert nlp.terms is not None
+        assert refused.terms is not None
+        assert self.outcome.refused is not None
+        return replace(nlp, terms=tightened(nlp.terms, refused.terms.points, self.outcome.refused[0]))
 
     def _search(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         self.outcome.converged = False
@@ -473,23 +528,23 @@ class Solver:
             return None
         began, problem = self.deadline.elapsed, self.call.problem
         path = exact_path(nlp, candidate.variables, problem.dock.final_straight).with_frame(problem.frame)
-        certificate = self._judged(path, began)
-        if not certificate.certified and self.times.is_late():
+        verdict = self._judged(path, began)
+        if not verdict.accepted and self.times.is_late():
             self.outcome.converged = False
             return None
-        if not certificate.certified:
-            self.outcome.refused = path, certificate
+        if not verdict.accepted:
+            self.outcome.refused = path, verdict
             return candidate
-        self.outcome.incumbent = Incumbent(path, certificate, candidate.cost)
+        self.outcome.incumbent = Incumbent(path, verdict.certificate, candidate.cost)
         if self.outcome.first_certified is None:
             self.outcome.first_certified = self.deadline.elapsed
         return None
 
-    def _judged(self, path: Path, began: float) -> Certificate:
-        """Return the certificate of a path; its time is measured from `began` [s]."""
-        certificate = self.call.certified(path, self.times.is_late)
+    def _judged(self, path: Path, began: float) -> Verdict:
+        """Return the verdict on a path; its time is measured from `began` [s]."""
+        verdict = self.call.judged(path, self.times.is_late)
         self.outcome.certify_time += self.times.certified(began)
-        return certificate
+        return verdict
 
     def _is_nearly_feasible(self, nlp: NonlinearProgram) -> bool:
         last = self.outcome.last
@@ -506,11 +561,27 @@ def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> Nonli
     if view is None:
         return nlp
     bound = ViewBound(view, call.whole, nlp.ends.signs, call.problem.dock.final_straight + call.after)
+    return replace(_goal_first(nlp, chosen), view=bound)
+
+
+def _with_terms(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
+    """Return the program with the terms of the user, if there are any."""
+    if call.terms is None:
+        return nlp
+    bend = 2.0 * float(nlp.bounds.upper[: nlp.basis.num_knots].max())
+    after = call.problem.dock.final_straight + call.after
+    bound = TermBound(call.terms, nlp.ends.signs, call.before, after, bend)
+    if any(term.function.reads for term in call.terms.hard):
+        nlp = _goal_first(nlp, chosen)
+    return replace(nlp, terms=bound)
+
+
+def _goal_first(nlp: NonlinearProgram, chosen: ViewSettings) -> NonlinearProgram:
+    """Return the program with a larger penalty on the goal error than on all zones together."""
     loop = replace(
         nlp.settings.loop, goal_penalty=chosen.goal_penalty, goal_above_clearance=chosen.goal_above_clearance
     )
-    settings = replace(nlp.settings, loop=loop)
-    return replace(nlp, view=bound, settings=settings)
+    return replace(nlp, settings=replace(nlp.settings, loop=loop))
 
 
 def _more_cautious(nlp: NonlinearProgram, chosen: AnytimeSettings) -> NonlinearProgram:

@@ -221,6 +221,7 @@ class AnytimeSettings:
 
     certificate_seconds: tuple[float, float, float] = (0.0025, 1.2e-5, 8e-7)
     iteration_seconds: tuple[float, float, float] = (0.0013, 2e-5, 0.0)
+    term_seconds: tuple[float, float] = (2e-4, 1.2e-4)  # hard terms at the samples of a path, and per metre
     iteration_per_corner: float = 4e-5  # [s] per corner of the footprint, an upper bound in nine of ten iterations
     certificate_per_iteration: float = 1.2  # before a certificate is measured
     longest_fades: float = 0.8  # of the longest iteration so far

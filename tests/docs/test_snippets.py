@@ -73,6 +73,7 @@ SHOWS = (
     "found by: ",
     "the proof holds: True",
     "at the true dock",
+    "not proven",
 )
 
 

@@ -60,6 +60,19 @@ def test_smoothing_benchmark_counts(run, tmp_path):
     assert "Hard time budgets" in done.stdout
 
 
+def test_the_benchmark_of_terms_times_every_set(run):
+    done = run("terms", "--families", "open_s", "--seeds", "1", "--repeats", "1")
+    assert done.returncode == 0, done.stderr
+    assert [line.split("  ")[0] for line in done.stdout.splitlines() if line.startswith(("none", "hard", "soft"))] == [
+        "none",
+        "hard: plane",
+        "hard: curvature",
+        "hard: disc",
+        "soft: floor",
+        "soft: wave",
+    ]
+
+
 def test_certificate_and_first_call_benchmarks(run):
     done = run("certificate", "--seeds", "1")
     assert done.returncode == 0, done.stderr

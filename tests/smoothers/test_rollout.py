@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 import pytest
 
-from experiments.benchmarks.ipopt_reference import cost_expression, model_for
+from experiments.benchmarks.symbolic_program import cost_expression, model_for
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from smoothers.scp.basis import basis_for

@@ -102,6 +102,10 @@ class ClearanceRows(NamedTuple):
         """Return the rows selected by `keep`."""
         return ClearanceRows(self.gradient[keep], self.gap[keep], self.node[keep])
 
+    def joined(self, others: ClearanceRows) -> ClearanceRows:
+        """Return these rows, followed by others."""
+        return ClearanceRows(*(np.concatenate(both) for both in zip(self, others, strict=True)))
+
     def lowest(self, most: int) -> ClearanceRows:
         """Return the `most` rows with the smallest gaps."""
         return self if self.gap.size <= most else self.subset(np.argpartition(self.gap, most)[:most])
