@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optdock import __version__
-from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
 from optdock.reports.html.plan_chapter import start_relief
 from optdock.ui.curve_view import CurveView
@@ -24,6 +23,7 @@ from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.field_view import FieldView
 from optdock.ui.file_view import FileView
 from optdock.ui.floor_view import FloorView
+from optdock.ui.mends import Mend, mend_of
 from optdock.ui.moved_shapes import MovedShapes, moved_shapes
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
@@ -33,7 +33,7 @@ from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_fields import with_field
 from optdock.ui.scene_history import SceneHistory
 from optdock.ui.scene_pointer import ScenePointer
-from optdock.ui.scene_view import GHOSTS, SceneView
+from optdock.ui.scene_view import GHOSTS, SceneView, named_obstacles, view_around
 from optdock.ui.surveyed_floor import SurveyedFloor
 
 if TYPE_CHECKING:
@@ -84,6 +84,8 @@ class PageSession:
         self.document = document
         self.shown: DrawnPlan | None = None
         self._number, self._doing = 0, ""
+        self._named: tuple[int, ...] = ()  # numbers of the obstacles that the answer names
+        self._mend: Mend | None = None  # of the refusal that is shown
         self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
@@ -93,7 +95,7 @@ class PageSession:
         calls = {
             "Add box": lambda: self.history.add(self.view.view, is_wall=False),
             "Add wall": lambda: self.history.add(self.view.view, is_wall=True),
-            "Cancel": lambda: self.process.cancel(), "Drive": self.drive,
+            "Cancel": self._cancel, "Drive": self.drive,
         }  # fmt: skip
         self.toolbar = PageToolbar(self.history, calls, self.show_scene)
         self.files = FileView(self.history, folder, lambda: self.shown, self._load, self.say)
@@ -114,7 +116,7 @@ class PageSession:
         self.message.text = f'<p role="{role}" class="{grade}">{escape(text)}</p>' if text else ""
 
     def _load(self, scene: EditedScene) -> None:
-        self.view.look_at(view_of(scene.problem, []), extends=False)
+        self.view.look_at(view_around(scene), extends=False)
         self.history.edit(lambda _: scene)
 
     def drive(self) -> None:
@@ -126,6 +128,9 @@ class PageSession:
             self._doing = "driving"
             self._show_status()
 
+    def _cancel(self) -> None:
+        self.process.cancel()
+
     def show_scene(self) -> None:
         """Draw the scene and the selected part."""
         with self._one_message():
@@ -134,6 +139,7 @@ class PageSession:
     def _draw_scene(self) -> None:
         history = self.history
         self.view.show(history.scene, history.selected)
+        self.view.show_names(history.scene, history.selected, self._named)
         self.toolbar.show([one.name for one in history.scene.handles()], history.selected)
 
     # Changes of the scene.
@@ -149,6 +155,9 @@ class PageSession:
         is_due = not in_hand or time.monotonic() - self._sent_at > _LONGEST_STILL
         with self._one_message(sends=is_due):
             self.say(fault, is_bad=True)
+            self._mend = None
+            if not in_hand:
+                self._named = ()  # obstacles may have other numbers
             if not fault:
                 self._ask(in_hand=in_hand)
             self._draw_scene()
@@ -211,8 +220,14 @@ class PageSession:
         if drawn.outcome == "cancelled" and drawn.number < self._number:
             return  # a newer request replaced it
         self.shown = drawn
+        is_of_scene = drawn.fingerprint == self.history.scene.fingerprint
+        if is_of_scene and not self.pointer.is_dragging:
+            self._mend = mend_of(drawn, self.history.scene.problem)
         self._finish(drawn.number)
         self.view.show_answer(drawn)
+        if self.pointer.is_dragging or is_of_scene:
+            self._named = named_obstacles(drawn)
+            self.view.show_names(self.history.scene, self.history.selected, self._named)
         if not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
             self.curves.show(drawn.motion, self._moved(drawn))
@@ -256,7 +271,8 @@ class PageSession:
         self._show_status()
 
     def _show_status(self) -> None:
-        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, self._doing))
+        mend = "" if self._mend is None else str(self._mend)
+        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, self._doing, mend))
 
     def _fade(self, number: int) -> None:
         """Fade the answer if it belongs to another scene, and none to this request or a later one has arrived."""
@@ -287,9 +303,9 @@ def _compose(page: PageSession, variant: int) -> None:
     curves, groups = page.curves, page.fields.groups
     roots: dict[str, Any] = {
         "scene": page.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
-        "floor": page.floor.box, "data": page.data, "curve_data": curves.holder, "message": page.message,
-        "words": page.words, "unlinked": page.files.unlinked, "files": page.files.box,
-        "link": page.files.link, **page.toolbar.roots,
+        "clock": curves.clock, "floor": page.floor.box, "data": page.data, "curve_data": curves.holder,
+        "message": page.message, "words": page.words, "files": page.files.box, "link": page.files.link,
+        "unlinked": page.files.unlinked, **page.toolbar.roots,
         **{f"fields_{name}": group for name, group in groups.items()},
     }  # fmt: skip
     with page.document.models.freeze():  # collects the models of all roots once

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -109,8 +110,7 @@ def plan_summary(plan: PlanFile) -> str:
         return plan.error.message
     parts = []
     if plan.path is not None:
-        gears = " ".join(segment.direction.name.lower().replace("_", "-") for segment in plan.path.segments)
-        parts.append(f"{plan.path.driven:.3f} m ({gears})")
+        parts.append(f"{plan.path.driven:.3f} m ({_gears_in_words(plan.path)})")
     if plan.trajectory is not None:
         parts.append(f"{float(plan.trajectory.t[-1] - plan.trajectory.t[0]):.3f} s")
     least = claimed(plan, "min_clearance", math.inf)
@@ -120,6 +120,14 @@ def plan_summary(plan: PlanFile) -> str:
     if "total" in plan.timing_ms:
         parts.append(f"planned in {plan.timing_ms['total']:.1f} ms")
     return ", ".join(parts) or f"status {plan.status}"
+
+
+def _gears_in_words(path: Path) -> str:
+    """Return the gears and turns in place, e.g. `3 gears: reverse, forward, reverse`."""
+    names = [segment.direction.name.lower().replace("_", " ") for segment in path.segments]
+    merged = [name for name, _ in itertools.groupby(names)]
+    kind = "gears" if {*merged} <= {"forward", "reverse"} else "parts"
+    return merged[0] if len(merged) == 1 else f"{len(merged)} {kind}: {', '.join(merged)}"
 
 
 def _numbers(plan: PlanFile) -> dict[str, object]:
