@@ -140,7 +140,7 @@ class PageSession:
         history = self.history
         self.view.show(history.scene, history.selected)
         self.view.show_names(history.scene, history.selected, self._named)
-        self.toolbar.show([one.name for one in history.scene.handles()], history.selected)
+        self.toolbar.show([one.name for one in history.scene.handles], history.selected)
 
     # Changes of the scene.
 

@@ -92,7 +92,7 @@ class SceneHistory:
 
     def select(self, name: str) -> None:
         """Select a part, or the start if the scene has no such part."""
-        self.selected = name if any(one.name == name for one in self.scene.handles()) else "start"
+        self.selected = name if any(one.name == name for one in self.scene.handles) else "start"
 
     def nudge(self, dx: float, dy: float) -> None:
         """Move the selected part [m]."""

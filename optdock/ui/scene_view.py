@@ -166,7 +166,7 @@ class SceneView:
         if scene.obstacles is not self._obstacles:  # converting hundreds of them takes 5 ms
             self._obstacles = scene.obstacles
             self.data.put("obstacles", _shapes(scene.polygons))
-        handles = [one for one in scene.handles() if one.name.endswith(("heading", "]")) or one.name == selected]
+        handles = [one for one in scene.handles if one.name.endswith(("heading", "]")) or one.name == selected]
         inks = [self.ink(_GRIPS[one.name.partition(".")[0].partition("[")[0]]) for one in handles]
         self.data.put(
             "grips",

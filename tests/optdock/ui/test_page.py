@@ -18,7 +18,7 @@ from bokeh.models import Div
 
 import optdock as od
 from optdock.config import demo_scenario, load_scenario
-from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
+from optdock.errors import InvalidValue, NoMotionExists, StartOccupied, TimedOut
 from optdock.geometry.pose import Pose2
 from optdock.model.camera import Camera
 from optdock.model.robot import TrackingTube
@@ -37,7 +37,7 @@ from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP
 from optdock.ui.scene_links import from_link, to_link
-from optdock.ui.scene_view import margin_colours
+from optdock.ui.scene_view import margin_colours, view_around
 
 
 class Requests:
@@ -176,6 +176,64 @@ def test_no_way_is_shown_as_the_closed_region(worked):
     page.files.load_worked("no_way")
     page.process.answer(page)
     assert not any(chart.visible for chart in page.curves.charts.children)
+
+
+def test_a_refusal_names_its_obstacles_in_the_figure_and_a_move_until_the_scene_changes(worked):
+    page = worked("no_way")
+    columns = page.view.data.columns
+    page.process.answer(page)
+    assert columns["names"]["text"] == ["obstacles[4]", "obstacles[5]"]
+    scene = page.history.scene
+    for row, xs, ys in zip((4, 5), columns["named"]["xs"], columns["named"]["ys"], strict=True):
+        np.testing.assert_allclose(np.column_stack((xs, ys)), scene.polygons[row])
+    assert {*columns["named"]["line"], *columns["places"]["line"]} == {page.view.ink("hot")}
+    assert re.search(r"Try: move obstacles\[[45]\] 0\.05 m (up|down)\.", status(page))
+    grip = scene.grip("obstacles[4]")
+    drag(page, (grip.x, grip.y), (grip.x, grip.y - 0.01))
+    assert columns["names"]["text"] == ["obstacles[4]"]  # as the selected part
+    assert columns["named"]["xs"] == []
+    assert "Try" not in status(page)
+
+
+def test_the_places_of_a_certified_motion_have_no_warning_colour(worked):
+    page = worked()
+    page.process.answer(page)
+    columns = page.view.data.columns
+    assert len(columns["places"]["xs"]) > 0
+    assert {*columns["places"]["line"], *columns["nearest"]["line"]} <= {page.view.ink("ink")}
+    assert "2 gears: forward, reverse" in status(page)
+    assert page.curves.slider.title is None
+
+
+def test_names_of_an_answer_to_another_scene_are_not_shown(worked):
+    """Its numbers may belong to other obstacles."""
+    page = worked("no_way")
+    one = page.process.asked[-1]
+    drawn = drawn_plan((one.number, one.fingerprint), one.scenario.problem, StartOccupied("overlaps obstacles[5]"))
+    page.history.edit(lambda scene: scene.removed(scene.grip("obstacles[0]")))
+    page.process.ready.append(drawn)
+    page._show_answers()
+    assert page.view.data.columns["names"].get("text", []) == []
+
+
+@pytest.mark.parametrize("stem", [path.stem for path in worked_scenes()])
+def test_the_first_view_contains_the_scene(worked, stem):
+    page = worked(stem)
+    view, scene = page.view.view, page.history.scene
+    points = np.vstack((*scene.polygons, [[one.x, one.y] for one in scene.handles]))
+    assert np.all((points > [view.left, view.bottom]) & (points < [view.right, view.top]))
+    far = scene.added_box(view.right + 100.0, 0.0)
+    assert view_around(far) == view
+
+
+def test_keys_of_a_time_out_are_fields_of_the_page(worked):
+    page = worked()
+    page._set_field("time_budget", "0.1", False)
+    one, error = page.process.asked[-1], TimedOut("the search ran out of time; raise time_budget, which is 0.1 s")
+    page.process.ready.append(drawn_plan((one.number, one.fingerprint), one.scenario.problem, error))
+    page._show_answers()
+    for text in (status(page), page.words.text):
+        assert "raise the time budget (under Planning), which is 0.1 s" in text
 
 
 def test_figures_of_curves_stay_in_the_document(worked):
