@@ -42,7 +42,7 @@ class Mend(NamedTuple):
 
 
 def mend_of(drawn: DrawnPlan, problem: DockingProblem) -> Mend | None:
-    """Return a move after which the stated reason of a refusal does not hold; None if no such move is known.
+    """Return a small move against the reason of a refusal; None if no such move is known.
 
     Start or dock in an obstacle are moved to the nearest of the tried places with the required clearance. The nearest
     obstacle of the place where the clearance is not kept is moved away from the robot by what is missing; whether a

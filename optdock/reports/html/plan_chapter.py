@@ -13,6 +13,7 @@ import shapely
 from optdock.geometry.obstacles import in_words
 from optdock.impossibility import BlockedStraight
 from optdock.io.plan_file import CERTIFIED
+from optdock.model.path import Direction
 from optdock.plotting.plan_picture import refused_pose
 from optdock.plotting.scene import View, view_of
 from optdock.reports.html.certificate_words import claimed, plan_tables, plan_texts
@@ -124,9 +125,9 @@ def plan_summary(plan: PlanFile) -> str:
 
 def _gears_in_words(path: Path) -> str:
     """Return the gears and turns in place, e.g. `3 gears: reverse, forward, reverse`."""
-    names = [segment.direction.name.lower().replace("_", " ") for segment in path.segments]
-    merged = [name for name, _ in itertools.groupby(names)]
-    kind = "gears" if {*merged} <= {"forward", "reverse"} else "parts"
+    names = {Direction.FORWARD: "forward", Direction.REVERSE: "reverse", Direction.IN_PLACE: "turn in place"}
+    merged = [names[gear] for gear, _ in itertools.groupby(segment.direction for segment in path.segments)]
+    kind = "parts" if names[Direction.IN_PLACE] in merged else "gears"
     return merged[0] if len(merged) == 1 else f"{len(merged)} {kind}: {', '.join(merged)}"
 
 
