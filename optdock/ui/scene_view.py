@@ -256,8 +256,8 @@ class SceneView:
         cusp: dict[str, Any] = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
         self._add("cusps", "Scatter", line, "underlay", **cusp)
         # Wide lines are visible beside the outline of the docked robot.
-        hot: dict[str, Any] = {"line_color": "line", "line_width": "width"}
-        self._add("places", "Patches", (*area, "line", "width"), "underlay", fill_alpha=0.0, line_dash="dashed", **hot)
+        marked: dict[str, Any] = {"line_color": "line", "line_width": "width", "line_dash": "dashed"}
+        self._add("places", "Patches", (*area, "line", "width"), "underlay", fill_alpha=0.0, **marked)
         self._add("nearest", "MultiLine", (*area, "line"), "underlay", line_color="line", line_width=2.0)
         self._veil = BoxAnnotation(fill_color=ink("paper"), fill_alpha=_VEIL, level="underlay", visible=False)
         self.axes.add_layout(self._veil)
