@@ -25,7 +25,7 @@ __all__ = ["CurveView"]
 # Moves the robot with its camera and tube, and the cursors, to the row of the slider.
 _MOVE = """
 const {at, x, y, yaw, width} = motion.data, k = Math.min(slider.value, at.length - 1);
-if (k < 0) { for (const ghost of ghosts) ghost.data = {x: [], y: []}; return; }
+if (k < 0) { clock.text = ""; for (const ghost of ghosts) ghost.data = {x: [], y: []}; return; }
 const c = Math.cos(yaw[k]), s = Math.sin(yaw[k]);
 shapes.forEach((shape, row) => {
   const xs = [], ys = [], {x: along, y: across, dx, dy} = shape.data;
@@ -37,7 +37,7 @@ shapes.forEach((shape, row) => {
   ghosts[row].data = {x: xs, y: ys};
 });
 for (const cursor of cursors) cursor.location = at[k];
-slider.title = `${at[k].toFixed(2)} s ${motion.data.words[k] ?? ""}`;
+clock.text = `${at[k].toFixed(2)} s ${motion.data.words[k] ?? ""}`;
 """
 # Advances the slider in real time until its end, or until the button is released.
 _PLAY = """
@@ -77,13 +77,15 @@ class CurveView:
         self.holder = Div(visible=False, tags=[self.data.post])  # data without a figure are in no document otherwise
         self.charts = column([Div(text="")], sizing_mode="stretch_width")
         self.slider = Slider(
-            start=0, end=1, value=0, step=1, title="time", show_value=False, sizing_mode="stretch_width", name="player"
+            start=0, end=1, value=0, step=1, title=None, show_value=False, sizing_mode="stretch_width", name="player"
         )
+        self.clock = Div(text="", render_as_text=True)  # the title of a slider ends with a colon
         self.play = Toggle(label="Play", width=80, name="play")
         self._motion = ColumnDataSource({name: [] for name in ("at", "x", "y", "yaw", "words", "width")})
         self._shapes = [ColumnDataSource({name: [] for name in ("x", "y", "dx", "dy")}) for _ in ghosts]
         known: dict[str, Any] = {"motion": self._motion, "slider": self.slider}
-        self._move = CustomJS(args={**known, "shapes": self._shapes, "ghosts": [*ghosts], "cursors": []}, code=_MOVE)
+        moved = {**known, "clock": self.clock, "shapes": self._shapes, "ghosts": [*ghosts], "cursors": []}
+        self._move = CustomJS(args=moved, code=_MOVE)
         self.slider.js_on_change("value", self._move)
         self._motion.js_on_change("data", self._move)
         self.play.js_on_change("active", CustomJS(args={**known, "button": self.play}, code=_PLAY))

@@ -16,7 +16,7 @@ __all__ = ["FloorView"]
 _NOTHING, _ALPHA = "#FFFFFF00", 0.6  # colour of empty cells, opacity of the others
 _SELECT = """
 layers.forEach((layer, k) => { layer.visible = k === slider.value; });
-slider.title = `start heading ${headings[slider.value]} degrees`;
+heading.text = `start heading ${headings[slider.value]} degrees`;
 """
 
 
@@ -47,9 +47,10 @@ class FloorView:
             layer.level, layer.glyph.global_alpha = "image", _ALPHA
         slider = Slider(
             start=0, end=max(1, len(layers) - 1), value=0, step=1, show_value=False, sizing_mode="stretch_width",
-            title=f"start heading {floor.headings[0]} degrees", disabled=len(layers) < 2,
+            title=None, disabled=len(layers) < 2,
         )  # fmt: skip
-        known = {"layers": layers, "headings": floor.headings, "slider": slider}
+        heading = Div(text=f"start heading {floor.headings[0]} degrees", render_as_text=True)
+        known = {"layers": layers, "headings": floor.headings, "slider": slider, "heading": heading}
         slider.js_on_change("value", CustomJS(args=known, code=_SELECT))
         words = f"{floor.summary}. Colours: 0 s (dark) to {floor.longest:.1f} s (bright)."
-        self.box.children = [Div(text=f"<p>{escape(words)}</p>", sizing_mode="stretch_width"), slider]
+        self.box.children = [Div(text=f"<p>{escape(words)}</p>", sizing_mode="stretch_width"), heading, slider]

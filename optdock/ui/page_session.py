@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optdock import __version__
-from optdock.errors import InvalidValue, OptdockError
-from optdock.plotting.scene import view_of
 from optdock.reports.html.figures import PALETTE
 from optdock.reports.html.plan_chapter import start_relief
 from optdock.ui.curve_view import CurveView
 from optdock.ui.drawn_plan import DrawnPlan
 from optdock.ui.driven_plan import DrivenPlan
 from optdock.ui.field_view import FieldView
+from optdock.ui.file_view import FileView
 from optdock.ui.floor_view import FloorView
+from optdock.ui.mends import Mend, mend_of
 from optdock.ui.moved_shapes import MovedShapes, moved_shapes
 from optdock.ui.page_texts import answer_html, drive_text, status_html
 from optdock.ui.page_toolbar import PageToolbar
@@ -31,11 +31,9 @@ from optdock.ui.recorded_docking import RecordedDocking
 from optdock.ui.request_process import RequestProcess
 from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_fields import with_field
-from optdock.ui.scene_files import answer_files, open_scene, saved, worked_scenes
 from optdock.ui.scene_history import SceneHistory
-from optdock.ui.scene_links import to_link
 from optdock.ui.scene_pointer import ScenePointer
-from optdock.ui.scene_view import GHOSTS, SceneView
+from optdock.ui.scene_view import GHOSTS, SceneView, named_obstacles, view_around
 from optdock.ui.surveyed_floor import SurveyedFloor
 
 if TYPE_CHECKING:
@@ -57,6 +55,7 @@ p {{ margin: 0; padding: 0.6rem 1rem; font-size: 0.95rem; background: {0}; color
 p.bad {{ color: {2}; border-color: {2}; font-weight: 600; }}
 """
 _GRADE_INKS = ("paper", "ink", "hot")
+_FIXED = "The map cannot be dragged. An obstacle that is added can, and a map is changed in its file."
 _LONGEST_STILL = 0.1  # [s] for which the picture may stay while the hand moves
 
 
@@ -82,9 +81,11 @@ class PageSession:
         from bokeh.events import DocumentReady
         from bokeh.models import Div
 
-        self.document, self.folder = document, folder
+        self.document = document
         self.shown: DrawnPlan | None = None
         self._number, self._doing = 0, ""
+        self._named: tuple[int, ...] = ()  # numbers of the obstacles that the answer names
+        self._mend: Mend | None = None  # of the refusal that is shown
         self._recorded = recorded if isinstance(recorded, RecordedDocking) else None
         self._sent_at = 0.0  # [s]
         self.history = SceneHistory(scene, self._changed)
@@ -94,17 +95,17 @@ class PageSession:
         calls = {
             "Add box": lambda: self.history.add(self.view.view, is_wall=False),
             "Add wall": lambda: self.history.add(self.view.view, is_wall=True),
-            "Cancel": self._cancel, "Drive": self.drive, "Save": self.save,
-            "Copy link": self._explain_link,
+            "Cancel": self._cancel, "Drive": self.drive,
         }  # fmt: skip
-        self.toolbar = PageToolbar(self.history, calls, self.show_scene, self.load_worked)
-        self.pointer = ScenePointer(document, self.view, self.history, self.show_scene, self._explain_map)
-        self.words, self.unlinked = (Div(text="", sizing_mode="stretch_width") for _ in range(2))
+        self.toolbar = PageToolbar(self.history, calls, self.show_scene)
+        self.files = FileView(self.history, folder, lambda: self.shown, self._load, self.say)
+        self.pointer = ScenePointer(document, self.view, self.history, self.show_scene, lambda: self.say(_FIXED))
+        self.words = Div(text="", sizing_mode="stretch_width")
         self.message = Div(text="", styles=_MESSAGE, stylesheets=[_GRADES.format(*map(self.view.ink, _GRADE_INKS))])
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
         document.on_event(DocumentReady, lambda _: self.view.data.connect())
-        self._compose(variant)
+        _compose(self, variant)
         self.process = RequestProcess(self._answered)
         document.on_session_destroyed(lambda _: self.process.close())
         self._changed(in_hand=False, fault="")
@@ -114,46 +115,8 @@ class PageSession:
         role, grade = ("alert", "bad") if is_bad else ("status", "good")
         self.message.text = f'<p role="{role}" class="{grade}">{escape(text)}</p>' if text else ""
 
-    def load_worked(self, stem: str) -> None:
-        """Show a worked scene, see `worked_scenes`."""
-        for path in worked_scenes():
-            if path.stem == stem:
-                self._load(open_scene(path.name, path.parent))
-
-    def save(self) -> None:
-        """Write scenario, plan file and report of the scene into the folder of the page."""
-        name, drawn, scene = self.toolbar.file_name, self.shown, self.history.scene
-        is_answered = drawn is not None and drawn.fingerprint == scene.fingerprint and drawn.outcome != "cancelled"
-        try:
-            beside = answer_files(drawn, scene, name) if drawn is not None and is_answered else {}
-            files = saved(scene, name, self.folder, overwrite=self.toolbar.is_replacing, beside=beside)
-            self.say(f"saved: {', '.join(file.name for file in files)}")
-        except OptdockError as error:
-            self.say(str(error), is_bad=True)
-
-    def _show_link(self) -> None:
-        """Let the address of the page contain the scene, or show the reason why it cannot."""
-        link, reason = "", ""
-        try:
-            link = to_link(self.history.scene, self.folder)
-        except InvalidValue as error:
-            reason = f"{error}; save the scenario: a reload or a lost connection loses changes that are not saved"
-        self.toolbar.link.text = link
-        self.unlinked.text = f'<p role="note" class="unlinked">{escape(reason)}</p>' if reason else ""
-
-    def _explain_map(self) -> None:
-        self.say("The map cannot be dragged. An obstacle that is added can, and a map is changed in its file.")
-
-    def _explain_link(self) -> None:
-        with_map = self.history.scene.problem.costmap is not None
-        words = ", without its map; it opens in the same folder" if with_map else ""
-        if self.toolbar.link.text:
-            self.say(f"The address of this page contains the scene{words}.")
-        else:
-            self.say("This scene has no link; save it instead.", is_bad=True)
-
     def _load(self, scene: EditedScene) -> None:
-        self.view.look_at(view_of(scene.problem, []), extends=False)
+        self.view.look_at(view_around(scene), extends=False)
         self.history.edit(lambda _: scene)
 
     def drive(self) -> None:
@@ -176,7 +139,8 @@ class PageSession:
     def _draw_scene(self) -> None:
         history = self.history
         self.view.show(history.scene, history.selected)
-        self.toolbar.show([one.name for one in history.scene.handles()], history.selected)
+        self.view.show_names(history.scene, history.selected, self._named)
+        self.toolbar.show([one.name for one in history.scene.handles], history.selected)
 
     # Changes of the scene.
 
@@ -191,6 +155,9 @@ class PageSession:
         is_due = not in_hand or time.monotonic() - self._sent_at > _LONGEST_STILL
         with self._one_message(sends=is_due):
             self.say(fault, is_bad=True)
+            self._mend = None
+            if not in_hand:
+                self._named = ()  # obstacles may have other numbers
             if not fault:
                 self._ask(in_hand=in_hand)
             self._draw_scene()
@@ -198,7 +165,7 @@ class PageSession:
                 self.view.show_ghost(visible=False)  # it stands on the path of an earlier scene
             else:
                 self.fields.show(self.history.scene)
-                self._show_link()
+                self.files.show_link()
 
     def _ask(self, *, in_hand: bool) -> None:
         scene = self.history.scene
@@ -254,8 +221,14 @@ class PageSession:
         if drawn.outcome == "cancelled" and drawn.number < self._number:
             return  # a newer request replaced it
         self.shown = drawn
+        is_of_scene = drawn.fingerprint == self.history.scene.fingerprint
+        if is_of_scene and not self.pointer.is_dragging:
+            self._mend = mend_of(drawn, self.history.scene.problem)
         self._finish(drawn.number)
         self.view.show_answer(drawn)
+        if self.pointer.is_dragging or is_of_scene:
+            self._named = named_obstacles(drawn)
+            self.view.show_names(self.history.scene, self.history.selected, self._named)
         if drawn.view is not None and not self.pointer.is_dragging:
             self.view.look_at(drawn.view)
             self.curves.show(drawn.motion, self._moved(drawn))
@@ -299,42 +272,14 @@ class PageSession:
         self._show_status()
 
     def _show_status(self) -> None:
-        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, self._doing))
+        mend = "" if self._mend is None else str(self._mend)
+        self.view.show_status(status_html(self.history.scene.fingerprint, self.shown, self._doing, mend))
 
     def _fade(self, number: int) -> None:
         """Fade the answer if it belongs to another scene, and none to this request or a later one has arrived."""
         if self.shown is not None and self.shown.number < number:
             with self._one_message():
                 self.view.fade(faded=self.shown.fingerprint != self.history.scene.fingerprint)
-
-    def _compose(self, variant: int) -> None:
-        """Add the roots of the document to its template."""
-        from jinja2 import Environment, PackageLoader
-
-        curves, groups = self.curves, self.fields.groups
-        roots: dict[str, Any] = {
-            "scene": self.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
-            "floor": self.floor.box, "data": self.data, "curve_data": curves.holder, "message": self.message,
-            "words": self.words, "unlinked": self.unlinked, **self.toolbar.roots,
-            **{f"fields_{name}": group for name, group in groups.items()},
-        }  # fmt: skip
-        with self.document.models.freeze():  # collects the models of all roots once
-            for name, root in roots.items():
-                root.name = name
-                self.document.add_root(root)
-        loader = PackageLoader("optdock.ui", "templates")
-        environment = Environment(loader=loader, autoescape=False)
-        self.document.template = environment.get_template("ui.html")
-        self.document.template_variables.update(
-            palette={name: colours[variant] for name, colours in PALETTE.items()},
-            style=loader.get_source(environment, "ui.css")[0],
-            script=loader.get_source(environment, "ui.js")[0],
-            version=__version__,
-            groups=list(self.fields.groups),
-            dark=bool(variant),
-            has_map=self.history.scene.problem.costmap is not None,
-        )
-        self.document.title = "optdock"
 
 
 def make_page(document: Document, asked: AskedPage, folder: Path) -> None:
@@ -350,3 +295,34 @@ def make_page(document: Document, asked: AskedPage, folder: Path) -> None:
     page = PageSession(document, scene, folder, asked.variant, recorded)
     if asked.fault:
         page.say(asked.fault, is_bad=True)
+
+
+def _compose(page: PageSession, variant: int) -> None:
+    """Add the roots of a page to the template of its document."""
+    from jinja2 import Environment, PackageLoader
+
+    curves, groups = page.curves, page.fields.groups
+    roots: dict[str, Any] = {
+        "scene": page.view.axes, "curves": curves.charts, "player": curves.slider, "play": curves.play,
+        "clock": curves.clock, "floor": page.floor.box, "data": page.data, "curve_data": curves.holder,
+        "message": page.message, "words": page.words, "files": page.files.box, "link": page.files.link,
+        "unlinked": page.files.unlinked, **page.toolbar.roots,
+        **{f"fields_{name}": group for name, group in groups.items()},
+    }  # fmt: skip
+    with page.document.models.freeze():  # collects the models of all roots once
+        for name, root in roots.items():
+            root.name = name
+            page.document.add_root(root)
+    loader = PackageLoader("optdock.ui", "templates")
+    environment = Environment(loader=loader, autoescape=False)
+    page.document.template = environment.get_template("ui.html")
+    page.document.template_variables.update(
+        palette={name: colours[variant] for name, colours in PALETTE.items()},
+        style=loader.get_source(environment, "ui.css")[0],
+        script=loader.get_source(environment, "ui.js")[0],
+        version=__version__,
+        groups=list(page.fields.groups),
+        dark=bool(variant),
+        has_map=page.history.scene.problem.costmap is not None,
+    )
+    page.document.title = "optdock"

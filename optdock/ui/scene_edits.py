@@ -94,12 +94,9 @@ class EditedScene:
         vars(edited)["obstacles"] = obstacles
         return edited
 
-    def handles(self) -> tuple[Handle, ...]:
-        """Return the parts, each with a point at which it is grabbed; see `scene_grips.handles_of`."""
-        return self._handles
-
     @functools.cached_property
-    def _handles(self) -> tuple[Handle, ...]:
+    def handles(self) -> tuple[Handle, ...]:
+        """The parts, each with a point at which it is grabbed; see `scene_grips.handles_of`."""
         return handles_of(self.problem, self.obstacles)
 
     def grip_at(self, x: float, y: float, reach: float, selected: str = "") -> Grip | None:
@@ -123,7 +120,7 @@ class EditedScene:
             InvalidValue: If there is no such part.
         """
         part_named(name, self.obstacles)
-        return next(Grip(name, one.x, one.y) for one in self.handles() if one.name == name)
+        return next(Grip(name, one.x, one.y) for one in self.handles if one.name == name)
 
     def dragged(self, grip: Grip, to: tuple[float, float]) -> EditedScene:
         """Return the scene in which a part was dragged.

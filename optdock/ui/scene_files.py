@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["answer_files", "open_scene", "saved", "worked_scenes"]
 
+_FIRST_BOX = (2.7, 0.7)  # [m]: centre of the box in the built-in scenario, whose other obstacles are in its map
 _NAME = re.compile(r"[^\W_][\w .+-]{0,99}", re.ASCII)
 _MOST_SCENARIOS = 200  # that are compared with a plan
 _SCALES = (1.0, 0.5, 0.25)  # of the built-in robot on a map
@@ -68,8 +69,8 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
     Args:
         source: Scenario file; map (map_server YAML), on which the robot of the built-in scenario is placed, smaller
             if it has no place there; plan file, whose scenario is the one in its folder for which its certificate or
-            proof holds, or the one of its name if it has neither; None: the built-in scenario. A relative name is
-            relative to the folder.
+            proof holds, or the one of its name if it has neither; None: the built-in scenario, with a box beside the
+            way. A relative name is relative to the folder.
         folder: The folder; no file outside of it is read.
 
     Raises:
@@ -78,7 +79,7 @@ def open_scene(source: str | Path | None, folder: str | Path) -> EditedScene:
             plan.
     """
     if source is None:
-        return _scene_of_scenario(demo_scenario(), demo_scenario().parent)
+        return _scene_of_scenario(demo_scenario(), demo_scenario().parent).added_box(*_FIRST_BOX)
     file = inside(source, folder)
     if file.suffix.lower() == ".json":
         return _scene_of_plan(file, Path(folder))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.ui.edited_obstacle import EditedObstacle
     from optdock.ui.scene_edits import EditedScene
 
-__all__ = ["GHOSTS", "SceneView", "margin_colours"]
+__all__ = ["GHOSTS", "SceneView", "margin_colours", "named_obstacles", "view_around"]
 
 GHOSTS = ("ghost", "ghost cone", "ghost tube")  # layers that the player moves: robot, view of its camera, tube
 _WIDE = 0.3  # [m]: margins from here on have the colour of a free robot
@@ -30,6 +31,9 @@ _SCALE = ("#C8102E", "#E8730C", "#E8C20C", "#56B45D", "#2F89BD")  # of margins f
 _USUAL_WIDTH = 800  # [px]
 _VEIL = 0.65  # opacity of the veil over an answer to another scene
 _STATUS = """document.getElementById("status").innerHTML = status.data.html[0];"""
+_AROUND = 0.5  # obstacles within this share of the size of the view beyond its sides are shown
+_BESIDE = 0.15  # [m] between such an obstacle and the side of the figure
+_NAMED = re.compile(r"obstacles\[(\d{1,6})\]")
 _GRIPS = {"start": "start", "dock": "goal", "obstacles": "muted"}
 
 
@@ -41,6 +45,26 @@ def margin_colours(margins: FloatArray) -> list[str]:
     return [f"#{r:02X}{g:02X}{b:02X}" for r, g, b in zip(*mixed, strict=True)]
 
 
+def view_around(scene: EditedScene) -> View:
+    """Return a view that contains start, dock and the obstacles around them; cells of the map do not widen it."""
+    near = view_of(scene.problem, [])
+    lower, upper = np.array([near.left, near.bottom]), np.array([near.right, near.top])
+    reach = _AROUND * (upper - lower)
+    least, most = lower - reach, upper + reach
+    for polygon in scene.polygons:
+        low, high = polygon.min(axis=0), polygon.max(axis=0)
+        if np.all(high > least) and np.all(low < most):
+            lower = np.minimum(lower, np.maximum(low - _BESIDE, least))
+            upper = np.maximum(upper, np.minimum(high + _BESIDE, most))
+    return View(float(lower[0]), float(upper[0]), float(lower[1]), float(upper[1]))
+
+
+def named_obstacles(drawn: DrawnPlan) -> tuple[int, ...]:
+    """Return the numbers of the obstacles that the headline and the places of an answer name."""
+    words = [drawn.headline, *(place.obstacle for place in drawn.places)]
+    return tuple(sorted({int(row) for text in words for row in _NAMED.findall(text)}))
+
+
 class SceneView:
     """Figure in metres with equal scales; changes are sent by `data.send`, once for every message to the browser.
 
@@ -50,9 +74,10 @@ class SceneView:
     """
 
     def __init__(self, scene: EditedScene, variant: int) -> None:
-        from bokeh.models import ColumnDataSource, CustomJS, PointDrawTool
+        from bokeh.models import ColumnDataSource, CustomJS
 
         self._variant = variant
+        self._mark = self.ink("ink")  # colour of the places of the answer
         self._obstacles: tuple[EditedObstacle, ...] | None = None  # that are drawn
         self.axes = axes_of(
             "x [m]",
@@ -63,15 +88,13 @@ class SceneView:
             variant=variant,
         )
         self.axes.toolbar.autohide = False
-        # An active tool for drags, so that a finger on the figure drags instead of scrolling the page. Without layers
-        # it changes nothing, while a tool that draws a box costs a paint and a message for every move.
-        tool = PointDrawTool(description="grab", renderers=[], add=False)
-        self.axes.add_tools(tool)
-        self.axes.toolbar.active_drag = tool
+        # Without an active tool for drags, a finger scrolls the page; where it touches a part, the script of the page
+        # prevents this.
+        self.axes.toolbar.active_drag = None
         # On a canvas of their own, which a change of the layers does not paint again.
         self.axes.axis.level = "overlay"
         self.axes.min_border_left = 60  # [px]; the figure does not move when the labels get wider
-        self.view = view_of(scene.problem, [])
+        self.view = view_around(scene)
         self._sources: dict[str, ColumnDataSource] = {}
         self._frame = self._add("frame", "Quad", ("left", "right", "bottom", "top"), fill_alpha=0.0, line_alpha=0.0)
         for side in (self.axes.x_range, self.axes.y_range):
@@ -143,7 +166,7 @@ class SceneView:
         if scene.obstacles is not self._obstacles:  # converting hundreds of them takes 5 ms
             self._obstacles = scene.obstacles
             self.data.put("obstacles", _shapes(scene.polygons))
-        handles = [one for one in scene.handles() if one.name.endswith(("heading", "]")) or one.name == selected]
+        handles = [one for one in scene.handles if one.name.endswith(("heading", "]")) or one.name == selected]
         inks = [self.ink(_GRIPS[one.name.partition(".")[0].partition("[")[0]]) for one in handles]
         self.data.put(
             "grips",
@@ -158,6 +181,21 @@ class SceneView:
             },
         )
 
+    def show_names(self, scene: EditedScene, selected: str, named: Sequence[int]) -> None:
+        """Draw names of obstacles.
+
+        Args:
+            scene: The scene.
+            selected: Name of the selected part, which has its name if it is an obstacle or a corner of one.
+            named: Numbers of the obstacles that the answer names; they have their names and thick outlines.
+        """
+        known = [row for row in named if row < len(scene.obstacles)]
+        chosen = {int(row) for row in _NAMED.findall(selected)} - {*known}
+        self.data.put("named", {**_shapes([scene.polygons[row] for row in known]), "line": [self._mark] * len(known)})
+        rows = [*known, *sorted(chosen)]
+        places = np.array([scene.obstacles[row].disc[:2] for row in rows]).reshape(-1, 2)
+        self.data.put("names", {**_line(places), "text": [f"obstacles[{row}]" for row in rows]})
+
     def show_answer(self, drawn: DrawnPlan) -> None:
         """Draw an answer of the planning process."""
         self.data.put("raw", _line(drawn.raw))
@@ -169,8 +207,11 @@ class SceneView:
         self.data.put("region", _rings(drawn.region))
         self.data.put("cones", _shapes(drawn.cones))
         marked = [place.pose for place in drawn.places]
-        self.data.put("places", _shapes(transform_points(np.array(marked), drawn.outline) if marked else []))
-        self.data.put("nearest", _shapes([place.nearest for place in drawn.places if len(place.nearest)]))
+        self._mark, width = (self.ink("ink"), 2.0) if drawn.outcome == "certified" else (self.ink("hot"), 6.0)
+        outlines = _shapes(transform_points(np.array(marked), drawn.outline) if marked else [])
+        self.data.put("places", {**outlines, "line": [self._mark] * len(marked), "width": [width] * len(marked)})
+        nearest = [place.nearest for place in drawn.places if len(place.nearest)]
+        self.data.put("nearest", {**_shapes(nearest), "line": [self._mark] * len(nearest)})
         self.data.put("drive", _line(np.zeros((0, 2))))
         self.fade(faded=False)
 
@@ -200,8 +241,6 @@ class SceneView:
         area, line = ("xs", "ys"), ("x", "y")
         ink = self.ink
         faint: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.16, "line_color": "fill", "line_alpha": 0.35}
-        hot: dict[str, Any] = {"line_color": ink("hot"), "line_width": 2.0}
-        wide = {**hot, "line_width": 6.0}  # visible beside the outline of the docked robot
         self._add("obstacles", "Patches", area, "image", fill_color=ink("obstacle"), line_color=ink("ink"))
         self._add("station", "Patches", area, "image", fill_color=ink("dock"), line_color=ink("dock"))
         closed: dict[str, Any] = {"fill_color": ink("impossible"), "fill_alpha": 0.45, "line_alpha": 0.0}
@@ -216,10 +255,17 @@ class SceneView:
         self._add("detections", "Scatter", line, "underlay", **seen)
         cusp: dict[str, Any] = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
         self._add("cusps", "Scatter", line, "underlay", **cusp)
-        self._add("places", "Patches", area, "underlay", fill_alpha=0.0, line_dash="dashed", **wide)
-        self._add("nearest", "MultiLine", area, "underlay", **hot)
+        # Wide lines are visible beside the outline of the docked robot.
+        marked: dict[str, Any] = {"line_color": "line", "line_width": "width", "line_dash": "dashed"}
+        self._add("places", "Patches", (*area, "line", "width"), "underlay", fill_alpha=0.0, **marked)
+        self._add("nearest", "MultiLine", (*area, "line"), "underlay", line_color="line", line_width=2.0)
         self._veil = BoxAnnotation(fill_color=ink("paper"), fill_alpha=_VEIL, level="underlay", visible=False)
         self.axes.add_layout(self._veil)
+        self._draw_bodies()
+
+    def _draw_bodies(self) -> None:
+        """Add the layers of the player and of the scene in the hand."""
+        area, line, ink = ("xs", "ys"), ("x", "y"), self.ink
         robot: dict[str, Any] = {"fill_color": ink("robot"), "fill_alpha": 0.6, "line_color": ink("ink")}
         cone: dict[str, Any] = {"fill_color": ink("muted"), "fill_alpha": 0.2, "line_color": ink("muted")}
         tube: dict[str, Any] = {"fill_alpha": 0.0, "line_color": ink("ink"), "line_dash": "dotted"}
@@ -229,8 +275,12 @@ class SceneView:
             edge: dict[str, Any] = {"line_color": ink(colour), "line_width": 2.0}
             self._add(f"{name} body", "Patches", area, fill_color=ink(colour), fill_alpha=0.25, **edge)
             self._add(f"{name} nose", "MultiLine", area, **edge)
+        self._add("named", "Patches", (*area, "line"), fill_alpha=0.0, line_color="line", line_width=4.0)
         disc: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
+        label: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "y_offset": -22, "padding": 2}
+        label |= {"text_font_size": "13px", "text_color": ink("ink"), "background_fill_color": ink("paper")}
+        self._add("names", "Text", (*line, "text"), **label)
 
     def _add(
         self,
@@ -243,7 +293,7 @@ class SceneView:
         from bokeh import models
 
         source = self._sources[name] = models.ColumnDataSource({column: [] for column in columns}, name=f"{name} data")
-        places = {column: column for column in columns if column not in ("fill", "line")}
+        places = {column: column for column in columns if column not in ("fill", "line", "width")}
         glyph = getattr(models, kind)(**places, **style)
         renderer: GlyphRenderer = self.axes.add_glyph(source, glyph, name=name, level=level)
         return renderer

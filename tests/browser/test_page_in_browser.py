@@ -219,26 +219,38 @@ def test_a_corner_of_an_obstacle_is_dragged(page):
     assert near([after["xs"][-1][changed[0]], after["ys"][-1][changed[0]]], [corner[0] + 0.3, corner[1] + 0.2], 0.02)
 
 
-def test_a_finger_drags_the_robot(opened):
-    page = opened(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
-    place, state = page.robot(), page.state
-    end = [place[0] + 0.6, place[1] + 0.5]
-    (x, y), (x1, y1) = page.pixel(place), page.pixel(end)
-    scrolled = page.page.evaluate("scrollY")
+def swipe(page, first, last):
+    """Move one finger between two points of the window, in pixels."""
     touch = page.page.context.new_cdp_session(page.page)
 
     def send(kind, *points):
         points = [{"x": x, "y": y} for x, y in points]
         touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
-    send("touchStart", (x, y))
+    (x, y), (x1, y1) = first, last
+    send("touchStart", first)
     for k in range(1, 11):
         send("touchMove", (x + (x1 - x) * k / 10, y + (y1 - y) * k / 10))
     send("touchEnd")
+
+
+def test_a_finger_drags_the_robot_and_scrolls_elsewhere(opened):
+    page = opened(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    place, state = page.robot(), page.state
+    end = [place[0] + 0.6, place[1] + 0.5]
+    first, last = page.pixel(place), page.pixel(end)
+    scrolled = page.page.evaluate("scrollY")
+    swipe(page, first, last)
     page.settle_after(state)
     assert near(page.robot(), end, 0.03)
     assert near(page.path_start(), page.robot())
     assert page.page.evaluate("scrollY") == scrolled
+    state, (x, y) = page.state, page.pixel(free_place(page))
+    scrolled = page.page.evaluate("scrollY")
+    swipe(page, (x, y), (x, y - 150))
+    page.wait("(before) => scrollY > before + 50", scrolled)
+    page.settle()
+    assert page.state == state
     assert page.errors == []
 
 
@@ -467,10 +479,12 @@ def test_keys_move_turn_remove_and_undo(page):
     page.click("Add box")
     page.settle_after(first)
     added = page.state
-    page.page.mouse.click(*page.pixel(middle(page.data("obstacles"), 0)))
+    count = len(page.data("obstacles")["xs"])
+    page.page.mouse.click(*page.pixel(middle(page.data("obstacles"), -1)))
+    page.wait(f"() => Bokeh.documents[0].get_model_by_name('names data').data.text.includes('obstacles[{count - 1}]')")
     page.page.focus("#figure")
     press("Delete")
-    assert page.data("obstacles")["xs"] == []
+    assert len(page.data("obstacles")["xs"]) == count - 1
     assert page.state == first
     press("z")
     assert page.state == added

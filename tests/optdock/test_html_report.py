@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from optdock.executor import DockingExecutor
 from optdock.executor.log import LogWriter
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanError, PlanFile, load_plan, save_plan
+from optdock.model.path import Direction
 from optdock.reports.comparison import PathFigures, comparison_csv
 from optdock.reports.html import check_bokeh, read_chapters, save_report
 from optdock.reports.html import page as page_module
@@ -28,7 +30,7 @@ from optdock.reports.html.comparison_chapter import comparison_chapter
 from optdock.reports.html.figures import PALETTE, swept_area
 from optdock.reports.html.html_report import _counts
 from optdock.reports.html.page import Chapter, Chart, Content, Player, Readout, Table
-from optdock.reports.html.plan_chapter import clearance_chart, plan_chapter
+from optdock.reports.html.plan_chapter import _gears_in_words, clearance_chart, plan_chapter
 from optdock.reports.html.survey_chapter import SurveyColumns, survey_chapter
 from optdock.reports.plan_file_verdict import judge_plan_file
 from optdock.reports.report import failed_plan_file, run_json
@@ -211,6 +213,19 @@ def test_files_without_a_scene_and_refusals(files, tmp_path):
     assert "No motion joins start and goal" in text
     assert "enclosed area around the" in text
     assert "refuted" not in text
+
+
+@pytest.mark.parametrize(
+    ("gears", "words"),
+    [
+        ([1, 1], "forward"),
+        ([-1, 1, 1, -1, -1], "3 gears: reverse, forward, reverse"),
+        ([1, 0, 0, -1], "3 parts: forward, turn in place, reverse"),
+    ],
+)
+def test_successive_segments_in_one_gear_are_stated_once(gears, words):
+    segments = [SimpleNamespace(direction=Direction(gear)) for gear in gears]
+    assert _gears_in_words(SimpleNamespace(segments=segments)) == words
 
 
 def test_claims_are_not_called_proven_without_a_check(files, problem):

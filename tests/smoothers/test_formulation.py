@@ -59,3 +59,12 @@ def test_the_pool_builds_each_program_once_and_measures_the_time():
     assert pool.program(4, 3) is pool.program(4, 3)
     assert pool.program(4, 2) is not pool.program(4, 3)
     assert pool.build_time > 0.0
+
+
+def test_the_pool_keeps_the_latest_programs():
+    pool = ProgramPool()
+    first, second = pool.program(2, 1), pool.program(2, 2)
+    for rows in range(3, 60):
+        pool.program(2, rows)
+        assert pool.program(2, 1) is first  # used in between
+    assert pool.program(2, 2) is not second

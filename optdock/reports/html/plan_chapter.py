@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import shapely
 from optdock.geometry.obstacles import in_words
 from optdock.impossibility import BlockedStraight
 from optdock.io.plan_file import CERTIFIED
+from optdock.model.path import Direction
 from optdock.plotting.plan_picture import refused_pose
 from optdock.plotting.scene import View, view_of
 from optdock.reports.html.certificate_words import claimed, plan_tables, plan_texts
@@ -109,8 +111,7 @@ def plan_summary(plan: PlanFile) -> str:
         return plan.error.message
     parts = []
     if plan.path is not None:
-        gears = " ".join(segment.direction.name.lower().replace("_", "-") for segment in plan.path.segments)
-        parts.append(f"{plan.path.driven:.3f} m ({gears})")
+        parts.append(f"{plan.path.driven:.3f} m ({_gears_in_words(plan.path)})")
     if plan.trajectory is not None:
         parts.append(f"{float(plan.trajectory.t[-1] - plan.trajectory.t[0]):.3f} s")
     least = claimed(plan, "min_clearance", math.inf)
@@ -120,6 +121,14 @@ def plan_summary(plan: PlanFile) -> str:
     if "total" in plan.timing_ms:
         parts.append(f"planned in {plan.timing_ms['total']:.1f} ms")
     return ", ".join(parts) or f"status {plan.status}"
+
+
+def _gears_in_words(path: Path) -> str:
+    """Return the gears and turns in place, e.g. `3 gears: reverse, forward, reverse`."""
+    names = {Direction.FORWARD: "forward", Direction.REVERSE: "reverse", Direction.IN_PLACE: "turn in place"}
+    merged = [names[gear] for gear, _ in itertools.groupby(segment.direction for segment in path.segments)]
+    kind = "parts" if names[Direction.IN_PLACE] in merged else "gears"
+    return merged[0] if len(merged) == 1 else f"{len(merged)} {kind}: {', '.join(merged)}"
 
 
 def _numbers(plan: PlanFile) -> dict[str, object]:

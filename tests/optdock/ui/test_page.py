@@ -19,7 +19,7 @@ from bokeh.models import Div
 
 import optdock as od
 from optdock.config import demo_scenario, load_scenario
-from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
+from optdock.errors import InvalidValue, NoMotionExists, StartOccupied, TimedOut
 from optdock.geometry.pose import Pose2
 from optdock.model.camera import Camera
 from optdock.model.robot import TrackingTube
@@ -38,7 +38,7 @@ from optdock.ui.scene_edits import EditedScene
 from optdock.ui.scene_files import open_scene, worked_scenes
 from optdock.ui.scene_history import STEP
 from optdock.ui.scene_links import from_link, to_link
-from optdock.ui.scene_view import margin_colours
+from optdock.ui.scene_view import margin_colours, view_around
 
 
 class Requests:
@@ -179,13 +179,71 @@ def test_no_way_is_shown_as_the_closed_region(worked):
     assert "0.04 m too wide" in status(page)
     assert len(page.view.data.columns["swept"].get("xs", ())) == 0
     assert page.curves.slider.disabled
-    page.load_worked("reverse_bay")
+    page.files.load_worked("reverse_bay")
     page.process.answer(page)
     assert len(page.curves.data.columns["speed [m/s]"]["value"]) > 100
     assert all(chart.visible for chart in page.curves.charts.children)
-    page.load_worked("no_way")
+    page.files.load_worked("no_way")
     page.process.answer(page)
     assert not any(chart.visible for chart in page.curves.charts.children)
+
+
+def test_a_refusal_names_its_obstacles_in_the_figure_and_a_move_until_the_scene_changes(worked):
+    page = worked("no_way")
+    columns = page.view.data.columns
+    page.process.answer(page)
+    assert columns["names"]["text"] == ["obstacles[4]", "obstacles[5]"]
+    scene = page.history.scene
+    for row, xs, ys in zip((4, 5), columns["named"]["xs"], columns["named"]["ys"], strict=True):
+        np.testing.assert_allclose(np.column_stack((xs, ys)), scene.polygons[row])
+    assert {*columns["named"]["line"], *columns["places"]["line"]} == {page.view.ink("hot")}
+    assert re.search(r"Try: move obstacles\[[45]\] 0\.05 m (up|down)\.", status(page))
+    grip = scene.grip("obstacles[4]")
+    drag(page, (grip.x, grip.y), (grip.x, grip.y - 0.01))
+    assert columns["names"]["text"] == ["obstacles[4]"]  # as the selected part
+    assert columns["named"]["xs"] == []
+    assert "Try" not in status(page)
+
+
+def test_the_places_of_a_certified_motion_have_no_warning_colour(worked):
+    page = worked()
+    page.process.answer(page)
+    columns = page.view.data.columns
+    assert len(columns["places"]["xs"]) > 0
+    assert {*columns["places"]["line"], *columns["nearest"]["line"]} <= {page.view.ink("ink")}
+    assert "2 gears: forward, reverse" in status(page)
+    assert page.curves.slider.title is None
+
+
+def test_names_of_an_answer_to_another_scene_are_not_shown(worked):
+    """Its numbers may belong to other obstacles."""
+    page = worked("no_way")
+    one = page.process.asked[-1]
+    drawn = drawn_plan((one.number, one.fingerprint), one.scenario.problem, StartOccupied("overlaps obstacles[5]"))
+    page.history.edit(lambda scene: scene.removed(scene.grip("obstacles[0]")))
+    page.process.ready.append(drawn)
+    page._show_answers()
+    assert page.view.data.columns["names"].get("text", []) == []
+
+
+@pytest.mark.parametrize("stem", [path.stem for path in worked_scenes()])
+def test_the_first_view_contains_the_scene(worked, stem):
+    page = worked(stem)
+    view, scene = page.view.view, page.history.scene
+    points = np.vstack((*scene.polygons, [[one.x, one.y] for one in scene.handles]))
+    assert np.all((points > [view.left, view.bottom]) & (points < [view.right, view.top]))
+    far = scene.added_box(view.right + 100.0, 0.0)
+    assert view_around(far) == view
+
+
+def test_keys_of_a_time_out_are_fields_of_the_page(worked):
+    page = worked()
+    page._set_field("time_budget", "0.1", False)
+    one, error = page.process.asked[-1], TimedOut("the search ran out of time; raise time_budget, which is 0.1 s")
+    page.process.ready.append(drawn_plan((one.number, one.fingerprint), one.scenario.problem, error))
+    page._show_answers()
+    for text in (status(page), page.words.text):
+        assert "raise the time budget (under Planning), which is 0.1 s" in text
 
 
 def test_figures_of_curves_stay_in_the_document(worked):
@@ -193,7 +251,7 @@ def test_figures_of_curves_stay_in_the_document(worked):
     page = worked("forklift")
     shown = []
     for stem in ("forklift", "reverse_bay", "forklift", "reverse_bay"):
-        page.load_worked(stem)
+        page.files.load_worked(stem)
         page.process.answer(page)
         charts = page.curves.charts.children
         shown.append([(chart.id, chart.title.text) for chart in charts if chart.visible])
@@ -237,14 +295,14 @@ def test_keys_and_buttons_move_turn_add_and_remove(worked):
 def test_scenario_plan_and_report_are_saved_once(worked, tmp_path):
     page = worked(folder=tmp_path)
     page.process.answer(page)
-    page.toolbar._name.value = "bay"
-    page.save()
+    page.files.name.value = "bay"
+    page.files.save()
     assert {one.name for one in tmp_path.iterdir()} == {"bay.yaml", "bay.json", "bay.html"}
     assert open_scene("bay.json", tmp_path).fingerprint == page.history.scene.fingerprint
-    page.save()
+    page.files.save()
     assert "exists" in page.message.text
-    page.toolbar._name.value = "../outside"
-    page.save()
+    page.files.name.value = "../outside"
+    page.files.save()
     assert 'role="alert"' in page.message.text
     assert not (tmp_path.parent / "outside.yaml").exists()
 
@@ -275,7 +333,7 @@ def test_a_slider_is_one_step_of_undo_and_is_planned_at_its_end(worked):
     page._set_field("robot.limits.max_speed", "0.4", False)
     assert [one.in_hand for one in page.process.asked] == [False, True, True, True, False]
     assert not any(one.picture_only for one in page.process.asked)
-    assert page.toolbar.link.text == to_link(page.history.scene, Path())
+    assert page.files.link.text == to_link(page.history.scene, Path())
     page.history.undo()
     assert page.history.scene is before
 
@@ -296,9 +354,9 @@ def test_a_scene_with_a_map_returns_by_its_link(monkeypatch, tmp_path):
     monkeypatch.setattr(page_module, "RequestProcess", Requests)
     page = PageSession(Document(), open_scene(None, tmp_path), tmp_path)
     page.history.nudge(0.1, 0.0)
-    assert page.unlinked.text == ""
-    assert from_link(page.toolbar.link.text, tmp_path).fingerprint == page.history.scene.fingerprint
-    page._explain_link()
+    assert page.files.unlinked.text == ""
+    assert from_link(page.files.link.text, tmp_path).fingerprint == page.history.scene.fingerprint
+    page.files._explain_link()
     assert "contains the scene, without its map" in page.message.text
 
 
@@ -308,14 +366,14 @@ def test_a_scene_without_a_link_is_named_before_it_is_lost(worked):
     triangles = [np.add(place, [[0, 0], [0.1, 0], [0, 0.1]]) for place in places]
     obstacles = tuple(map(EditedObstacle.of, triangles, range(900)))
     page.history.edit(lambda scene: scene._with_obstacles(obstacles))
-    assert page.toolbar.link.text == ""
-    assert "the scene is too large" in page.unlinked.text
-    assert "loses changes that are not saved" in page.unlinked.text
-    page._explain_link()
+    assert page.files.link.text == ""
+    assert "the scene is too large" in page.files.unlinked.text
+    assert "loses changes that are not saved" in page.files.unlinked.text
+    page.files._explain_link()
     assert 'role="alert"' in page.message.text
     page.history.undo()
-    assert page.toolbar.link.text.startswith("1.")
-    assert page.unlinked.text == ""
+    assert page.files.link.text.startswith("1.")
+    assert page.files.unlinked.text == ""
 
 
 @pytest.mark.parametrize("key", ["z", "ArrowUp", "Delete"])
@@ -438,7 +496,7 @@ def test_the_browser_receives_every_change_of_the_picture(worked):
         lambda: drag(page, (start.x, start.y), (start.x - 3.0, start.y)),  # beyond the view
         lambda: page.process.answer(page),
         lambda: page.toolbar._selected("dock"),
-        lambda: page.load_worked("no_way"),
+        lambda: page.files.load_worked("no_way"),
         lambda: page.process.answer(page),
         page.drive,
     ):
@@ -471,7 +529,7 @@ def test_a_map_is_hidden_while_the_scene_has_none(monkeypatch):
     page = PageSession(Document(), open_scene(source, source.parent), source.parent)
     (cells,) = [one for one in page.view.axes.renderers if type(one.glyph).__name__ == "Image"]
     assert cells.visible
-    page.load_worked("no_way")
+    page.files.load_worked("no_way")
     assert not cells.visible
     page.history.undo()
     assert cells.visible
@@ -491,21 +549,21 @@ def test_nothing_is_saved_if_one_of_the_files_cannot_be(worked, tmp_path, suffix
     page = worked(folder=folder)
     page.process.answer(page)
     (folder / f"bay{suffix}").symlink_to(tmp_path / "outside")
-    page.toolbar._name.value = "bay"
-    page.toolbar._replace.active = True
-    page.save()
+    page.files.name.value = "bay"
+    page.files.replaces.active = True
+    page.files.save()
     assert 'role="alert"' in page.message.text
     assert [one.name for one in folder.iterdir()] == [f"bay{suffix}"]
     assert not (tmp_path / "outside").exists()
     (folder / f"bay{suffix}").unlink()
     (folder / f"bay{suffix}").write_text("mine")
-    page.toolbar._replace.active = False
-    page.save()
+    page.files.replaces.active = False
+    page.files.save()
     assert [one.read_text() for one in folder.iterdir()] == ["mine"]
     (folder / f"bay{suffix}").unlink()
     (folder / f"bay{suffix}").mkdir()
-    page.toolbar._replace.active = True
-    page.save()
+    page.files.replaces.active = True
+    page.files.save()
     assert 'role="alert"' in page.message.text
 
 
@@ -535,7 +593,7 @@ def test_camera_and_tube_move_with_the_robot(worked):
     page._show_answers()
     assert [len(one.data["x"]) > 0 for one in (robot, cone, tube)] == [True, True, False]  # it lies around the path
     page.history.nudge(0.1, 0.0)
-    page.load_worked("no_way")
+    page.files.load_worked("no_way")
     page.process.answer(page)
     assert [len(one.data["x"]) for one in (robot, cone, tube)] == [4, 0, 0]
 

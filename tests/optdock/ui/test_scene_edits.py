@@ -23,7 +23,7 @@ SCENES = {file.stem: EditedScene(load_scenario(file)) for file in worked_scenes(
 BAY = SCENES["reverse_bay"]
 DENTED = [[3.0, 0.0], [4.0, 0.0], [4.0, 1.0], [3.5, 0.5], [3.0, 1.0]]  # not convex
 MIXED = BAY._with_obstacles((*BAY.obstacles, EditedObstacle.of(DENTED, 4)))
-PARTS = [handle.name for handle in MIXED.handles()]
+PARTS = [handle.name for handle in MIXED.handles]
 BODIES = [name for name in PARTS if not name.endswith(".heading")]
 places = st.integers(-4_000_000, 4_000_000).map(lambda micrometres: round(micrometres * 1e-6, 6))
 points = st.tuples(places, places)
@@ -32,7 +32,7 @@ points = st.tuples(places, places)
 def shape_of(scene, name):
     """The part as it is drawn: the disc of a handle or a corner, or the outline of a body."""
     part, problem = part_named(name, scene.obstacles), scene.problem
-    disc = next(handle for handle in scene.handles() if handle.name == name)
+    disc = next(handle for handle in scene.handles if handle.name == name)
     if part.is_heading or part.corner is not None:
         return shapely.Point(disc.x, disc.y).buffer(disc.radius)
     if part.owner == "obstacles":
@@ -66,7 +66,7 @@ def test_edits_one_after_another_give_the_scene_of_the_polygons(edits):
         whole = shapely.Polygon(scene.polygons[int(scene.problem.obstacles.group[row])])
         assert whole.buffer(1e-6).contains(shapely.Polygon(piece))
     assert anew.fingerprint == scene.fingerprint
-    assert anew.handles() == scene.handles()
+    assert anew.handles == scene.handles()
 
 
 @settings(max_examples=20)
@@ -88,7 +88,7 @@ def test_a_drag_there_and_back_restores_the_scene(name, begin, end):
         # An obstacle that turned inside out has its corners in the other order.
         new = next(
             h.name
-            for h in there.handles()
+            for h in there.handles
             if ".corners" in h.name and math.dist((h.x, h.y), moved(name, begin, end)) < 1e-9
         )
         back = there.dragged(Grip(new, *end), begin)
@@ -165,9 +165,9 @@ def test_an_obstacle_turns_about_its_centroid():
 
 @pytest.mark.parametrize("scene", [*SCENES.values(), MIXED], ids=[*SCENES, "mixed"])
 def test_a_handle_is_grabbed_at_its_point_unless_a_smaller_part_covers_it(scene):
-    order = [handle.name for handle in scene.handles()]
+    order = [handle.name for handle in scene.handles]
     assert len(set(order)) == len(order) == 2 + sum(map(len, scene.polygons)) + 2 + len(scene.polygons)
-    for handle in scene.handles():
+    for handle in scene.handles:
         grip = scene.grip_at(handle.x, handle.y, 0.0)
         assert grip.name == handle.name or shape_of(scene, grip.name).distance(shapely.Point(handle.x, handle.y)) < 1e-9
         if grip.name != handle.name:

@@ -30,7 +30,10 @@ def folder(tmp_path):
 
 
 def test_scenario_map_and_built_in_scene(folder):
-    assert open_scene(None, folder).problem.fingerprint == load_scenario(demo_scenario()).problem.fingerprint
+    first = open_scene(None, folder)
+    assert len(first.polygons) == 1  # a box beside the way
+    bare = first.removed(first.grip("obstacles[0]"))
+    assert bare.problem.fingerprint == load_scenario(demo_scenario()).problem.fingerprint
     hall = open_scene("hall.yaml", folder)
     assert hall.problem.fingerprint == load_scenario(demo_scenario()).problem.fingerprint
     assert hall.map_source == folder / "hall_map.yaml"
