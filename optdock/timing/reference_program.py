@@ -189,7 +189,7 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
 
 def _spread(total: float, count: int) -> FloatArray:
     """Return `count` + 1 times from 0 to `total`."""
-    times: FloatArray = np.arange(count + 1) * (total / count)
+    times: FloatArray = np.arange(count + 1.0) * (total / count)
     times[-1] = total
     return times
 

@@ -75,8 +75,11 @@ def _plain(column: Any) -> Any:  # noqa: ANN401 - nested lists
     if isinstance(column, np.ndarray):
         if column.dtype.kind != "f":
             return column.tolist()
-        finite, rounded = np.isfinite(column), np.round(column, _DIGITS)
-        return (rounded if finite.all() else np.where(finite, rounded, None)).tolist()
+        shown, finite = np.round(column, _DIGITS), np.isfinite(column)
+        if not finite.all():
+            shown = shown.astype(object)
+            shown[~finite] = None
+        return shown.tolist()
     return [_plain(one) for one in column] if isinstance(column, list | tuple) else column
 
 

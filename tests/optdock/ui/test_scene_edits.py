@@ -66,7 +66,7 @@ def test_edits_one_after_another_give_the_scene_of_the_polygons(edits):
         whole = shapely.Polygon(scene.polygons[int(scene.problem.obstacles.group[row])])
         assert whole.buffer(1e-6).contains(shapely.Polygon(piece))
     assert anew.fingerprint == scene.fingerprint
-    assert anew.handles == scene.handles()
+    assert anew.handles == scene.handles
 
 
 @settings(max_examples=20)
