@@ -122,7 +122,7 @@ def _advanced_native(program: Program, iterate: Iterate, most: int) -> Iterate:
     size, before = (linear + curved) * m, iterate.iteration
     data = np.concatenate([part.ravel() for part in program])
     state = np.concatenate([part.ravel() for part in iterate[:4]] + [[iterate.mu, iterate.ended]])
-    work = (2 * linear + 5 * curved + 17) * m + 4
+    work = (5 * linear + 8 * curved + 17) * m + 4
     count = _KERNEL(
         (m, linear, curved, before, min(most, _MOST_ITERATIONS - before)),
         (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP),

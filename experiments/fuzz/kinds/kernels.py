@@ -3,7 +3,7 @@
 Both must be equal to the last bit. Stretches are drawn with bodies and obstacles that touch or overlap, in tiny cells,
 at huge coordinates, and with NaN and infinite numbers; programs of the interior point method with cells of very
 different lengths, without a solution, and with NaN and infinite numbers; and places that motions reach, also at rests
-and beyond the end.
+and beyond the end. Time laws of random paths and limits are computed and proven as a whole.
 """
 
 from __future__ import annotations
@@ -13,16 +13,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.fuzz.case import Verdict
-from experiments.fuzz.doors import path_of, problem_of
+from experiments.fuzz.doors import path_of, problem_of, zone_of
 from experiments.fuzz.generators.problems import path_problem
 from experiments.fuzz.generators.shapes import footprint, log_uniform, obstacle
+from experiments.fuzz.kinds import timings
+from optdock.deadline import budget_clock
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.kernels import using_kernels
 from optdock.model.constant_jerk import TimeLaw
+from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
 from optdock.timing.interior_point import Iterate, Program, advanced
+from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.reference_program import jerk_step_bands, spline_of
 from optdock.verification import conservative_advancement
 from optdock.verification.conservative_advancement import Advances, prove_clearance
@@ -49,7 +53,7 @@ __all__ = [
 
 DEGENERATE = ("none", "touching", "tiny", "huge", "still", "nan", "inf")
 DEGENERATE_PROGRAMS = ("none", "lengths", "infeasible", "tiny", "nan", "inf")
-_PROOFS, _CROSSINGS, _PROGRAMS = 0.2, 0.2, 0.2  # shares of the cases
+_PROOFS, _TIMINGS, _CROSSINGS, _PROGRAMS = 0.2, 0.1, 0.15, 0.15  # shares of the cases
 LANES: tuple[Lane, Lane] = ("twin", "native")
 _SETS = 10  # of stretches for every body and its obstacles
 _FAR = 1e7  # [m]
@@ -60,15 +64,19 @@ def draw(rng: np.random.Generator) -> Case:
     share = rng.uniform()
     if share < _PROOFS:
         return {**path_problem(rng), "kind": "kernels", "degenerate": None}
-    if share < _PROOFS + _CROSSINGS:
+    if share < _PROOFS + _TIMINGS:
+        return {**timings.draw(rng), "kind": "kernels", "plugin": "NearOptimal"}
+    if share < _PROOFS + _TIMINGS + _CROSSINGS:
         return {"kind": "kernels", "law": int(rng.integers(2**31))}
-    if share < _PROOFS + _CROSSINGS + _PROGRAMS:
+    if share < _PROOFS + _TIMINGS + _CROSSINGS + _PROGRAMS:
         return {"kind": "kernels", "program": str(rng.choice(DEGENERATE_PROGRAMS)), "seed": int(rng.integers(2**31))}
     return {"kind": "kernels", "degenerate": str(rng.choice(DEGENERATE)), "seed": int(rng.integers(2**31))}
 
 
 def judge(case: Case) -> Verdict:
     """Compare both lanes."""
+    if "plugin" in case:
+        return _timings(case)
     if "law" in case:
         return _crossings(np.random.default_rng(case["law"]))
     if "program" in case:
@@ -98,6 +106,20 @@ def _proofs(case: Case) -> Verdict:
         with using_kernels(lane):
             found.append(prove_clearance(Path(path.segments), problem))
     return Verdict("equal proofs") if is_equal(*found) else Verdict("kernel differs", "proof")
+
+
+def _timings(case: Case) -> Verdict:
+    path, limits, found = path_of(case["path"]), MotionLimits(**case["limits"]), []
+    begins = case["start_speed"], case.get("start_acceleration", 0.0)
+    for lane in LANES:
+        with using_kernels(lane), budget_clock("counted"):  # refusals have a time limit
+            result = NearOptimal().parameterize(
+                path, limits, zone_of(case), start_speed=begins[0], start_acceleration=begins[1]
+            )
+        law = None if result.trajectory is None else result.trajectory.time_law
+        motion = (np.zeros(0), np.zeros(0)) if law is None else (law.durations, law.jerks)
+        found.append((*motion, result.worst_ratio, result.status))
+    return Verdict("equal timings") if is_equal(*found) else Verdict("kernel differs", "timing")
 
 
 def _crossings(rng: np.random.Generator) -> Verdict:
