@@ -45,8 +45,9 @@ static double least(double a, double b) { return a < b || a != a ? a : b; }
 
 static double most(double a, double b) { return a > b || a != a ? a : b; }
 
-/* Interpolate (xp, fp), both (count,), count >= 2, as NumPy does. */
-static double interpolated(double x, const double *xp, const double *fp, int64_t count)
+/* Interpolate (xp, fp), both (count,), count >= 2, as NumPy does. from: in and out, index from which the cell of x is
+ * searched. */
+static double interpolated(double x, const double *xp, const double *fp, int64_t count, int64_t *from)
 {
     if (x != x)
         return x;
@@ -54,14 +55,12 @@ static double interpolated(double x, const double *xp, const double *fp, int64_t
         return fp[count - 1];
     if (x < xp[0])
         return fp[0];
-    int64_t low = 0, high = count;
-    while (high - low > 1) {
-        int64_t middle = low + (high - low) / 2;
-        if (x >= xp[middle])
-            low = middle;
-        else
-            high = middle;
-    }
+    int64_t low = *from;
+    while (low > 0 && !(x >= xp[low]))
+        low--;
+    while (low + 1 < count && x >= xp[low + 1])
+        low++;
+    *from = low;
     if (low == count - 1 || xp[low] == x)
         return fp[low];
     double slope = (fp[low + 1] - fp[low]) / (xp[low + 1] - xp[low]);
@@ -81,18 +80,19 @@ static void initial_guess(Counts n, const Grid *grid, const Settings *set, const
     const double *squared = profile, *clock = profile + n.nodes;
     int64_t width = 2 * n.half + 1;
     double *times = sums + n.times + width, sum = 0.0;
+    int64_t node = 0, period = 0;
     for (int64_t i = 0; i < n.times; i++)
         times[i] = set->total / (double)(n.times - 1) * (double)i;
     times[n.times - 1] = set->total;
     for (int64_t i = 0; i < n.times + width; i++) {
         int64_t k = i - n.half - 1;
-        sum += k >= 0 && k < n.times ? interpolated(times[k], clock, squared, n.nodes) : 0.0;
+        sum += k >= 0 && k < n.times ? interpolated(times[k], clock, squared, n.nodes, &node) : 0.0;
         sums[i] = sum;
     }
     for (int64_t i = 0; i < n.times; i++)
         mean[i] = (sums[i + width] - sums[i]) / (double)width;
     for (int64_t i = 0; i <= n.m; i++) {
-        double x = set->share * interpolated(grid->time[i], times, mean, n.times);
+        double x = set->share * interpolated(grid->time[i], times, mean, n.times, &period);
         double since = grid->time[i] - grid->time[0], until = grid->time[n.m] - grid->time[i];
         if (set->first_v > 0.0) {
             double share = least(1.0, since / set->blend);

@@ -199,10 +199,12 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
     jerk = 0.5 * np.abs(reference.curve) * np.maximum(v[:-1], v[1:])
     launch, stop = duration_of(reference.launch.phases), duration_of(reference.stop.phases)
     head = [launch] if launch > 0.0 else []
-    columns = ([*(value for _ in head), *column.tolist()] for value, column in zip(start, (s, v, a), strict=True))
-    s_all, v_all, a_all = ([*column, value] for column, value in zip(columns, end, strict=True))
+    s_all, v_all, a_all = [
+        [*[first] * len(head), *column.tolist(), last]
+        for first, column, last in zip(start, (s, v, a), end, strict=True)
+    ]
     times = list(itertools.accumulate([*head, *reference.durations.tolist(), stop], initial=0.0))
-    jerks = [*(np.inf for _ in head), *jerk.tolist(), np.inf]
+    jerks = [*[np.inf] * len(head), *jerk.tolist(), np.inf]
     return _Nodes(s_all, v_all, a_all, times, jerks, zone + len(head) if zone else 0)
 
 
@@ -251,7 +253,7 @@ def _try_pieces(
         own = None
         if j - i == 1 and not (gentle or full):
             own = spline_phases(*(np.array(column[i : i + 2]) for column in (nodes.s, nodes.v, nodes.a)))
-        moves.extend(((i, j), phases) for phases in (gentle, full, own) if phases)
+        moves += [((i, j), phases) for phases in (gentle, full, own) if phases]
     found = _evaluate(bounds, [(nodes.state(ends[0]), phases) for ends, phases in moves]) if moves else []
     best: dict[tuple[int, int], Move | None] = dict.fromkeys(active)
     for (ends, phases), (excess, worst) in zip(moves, found, strict=True):

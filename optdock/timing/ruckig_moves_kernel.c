@@ -73,10 +73,15 @@ static double checked(const Limits *limits, double s, double excess)
     return excess * (limits->relief > 0.0 && s < limits->relief ? 1.0 : limits->share);
 }
 
-static double excess_at(const Limits *limits, State at)
+/* from: in and out, index from which the cell is searched. */
+static double excess_at(const Limits *limits, State at, int64_t *from)
 {
-    int64_t cells = limits->nodes - 1, cell = number_below(limits->s, limits->nodes, at.s, 1) - 1;
-    cell = cell < 0 ? 0 : cell > cells - 1 ? cells - 1 : cell;
+    int64_t cells = limits->nodes - 1, cell = *from;
+    while (cell > 0 && !(at.s >= limits->s[cell]))
+        cell--;
+    while (cell < cells - 1 && at.s >= limits->s[cell + 1])
+        cell++;
+    *from = cell;
     double along = at.s - limits->s[cell], values[3];
     for (int64_t j = 0; j < 3; j++)
         values[j] = limits->left[j * cells + cell] + limits->slope[j * cells + cell] * along;
@@ -120,6 +125,8 @@ static void add_jumps(const Limits *limits, Jumps jumps, Samples *samples, doubl
 static int sample(const Limits *limits, State from, const double *phases, int64_t count, double shift, int64_t room,
                   Settings set, Samples *out)
 {
+    int64_t cell = number_below(limits->s, limits->nodes - 1, from.s, 0);
+    cell = cell > 0 ? cell - 1 : 0;
     out->count = 0;
     for (int64_t p = 0; p < count; p++) {
         double duration = phases[2 * p], jerk = phases[2 * p + 1], parts = duration / set.sample;
@@ -132,7 +139,7 @@ static int sample(const Limits *limits, State from, const double *phases, int64_
             at.s = clipped(at.s, 0.0, set.length);
             out->states[k] = at;
             out->jerk[k] = jerk;
-            out->excess[k] = excess_at(limits, at);
+            out->excess[k] = excess_at(limits, at, &cell);
             out->key[k] = k == 0 ? at.s + shift : most(out->key[k - 1], at.s + shift);
         }
         from = after(duration, from, jerk);

@@ -8,7 +8,8 @@ import pytest
 
 from experiments.fuzz.case import rng_of
 from experiments.fuzz.kinds import timings
-from experiments.fuzz.kinds.kernels import LANES, is_equal, judge
+from experiments.fuzz.kinds.kernels import is_equal
+from experiments.fuzz.kinds.timing_kernels import LANES, judge
 from optdock.kernels import using_kernels
 from optdock.model.limits import SpeedZone
 from optdock.timing import reference_program, ruckig_moves
