@@ -22,7 +22,7 @@ from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
 from optdock.planners.manoeuvres import distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
-from optdock.timing import interior_point
+from optdock.timing import interior_point, reference_program, ruckig_moves
 from optdock.verification import certify_path, clearance_rounds, compiled_clearances, stretch_bounds, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp.collision import clearance_along, linearization
@@ -49,6 +49,8 @@ _KERNELS = {
     "clearances of poses": (free_space, "_clearances"),
     "crossings": (trajectory_rules, "crossings"),
     "interior point": (interior_point, "advanced"),
+    "program of the time law": (reference_program, "prepared"),
+    "excess of moves": (ruckig_moves, "_evaluate_chosen"),
 }
 _MOST_CALLS = 40  # of every kernel, replayed
 _LANES: tuple[Lane, Lane] = ("twin", "native")

@@ -22,6 +22,7 @@ ALL = (
     "decisions",
     "impossibilities",
     "kernels",
+    "timing_kernels",
     "files",
     "damaged_files",
     "judged",

@@ -61,6 +61,17 @@ class Program(NamedTuple):
     right_share: FloatArray  # weight of c_{i+1} in the value at knot i, Shape (M + 1,)
     quadratic: FloatArray  # upper bands of Q, Shape (4, M + 2): entry (3 - d, j) is Q[j - d, j]
 
+    @classmethod
+    def packed(cls, data: FloatArray, m: int, linear: int, curved: int) -> Program:
+        """Return the parts of a program of `m` cells, given one after the other in `data`."""
+        sizes = (m, 3 * linear * m, 3 * curved * m, 3 * (curved - 2) * m, m + 1, 4 * (m + 2))
+        parts, end = [], 0
+        for size in sizes:
+            parts.append(data[end : end + size])
+            end += size
+        rows, with_speed, places = (part.reshape(3, -1, m) for part in parts[1:4])
+        return cls(parts[0], rows, with_speed, places, parts[4], parts[5].reshape(4, -1))
+
 
 class Iterate(NamedTuple):
     """Iterate of a program with R rows, first those of A and then those of B.
@@ -111,7 +122,7 @@ def _advanced_native(program: Program, iterate: Iterate, most: int) -> Iterate:
     size, before = (linear + curved) * m, iterate.iteration
     data = np.concatenate([part.ravel() for part in program])
     state = np.concatenate([part.ravel() for part in iterate[:4]] + [[iterate.mu, iterate.ended]])
-    work = (2 * linear + 5 * curved + 17) * m + 4
+    work = (5 * linear + 8 * curved + 17) * m + 4
     count = _KERNEL(
         (m, linear, curved, before, min(most, _MOST_ITERATIONS - before)),
         (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP),

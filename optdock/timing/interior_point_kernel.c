@@ -31,7 +31,8 @@ enum { UPDATES = 8 }; /* iterations in which f is updated */
 
 /* Values and changes of the constraints, and Newton's system. */
 typedef struct {
-    double *value, *slack_change; /* (rows, m) */
+    double *value, *weight, *centre; /* (rows, m): values of the constraints, Z / S, mu / S */
+    double *slack_change, *dual_change; /* (rows, m) */
     double *stencil;              /* (3, curved, m), derivatives of the rows B */
     double *root, *cube;          /* (m,), sqrt(c) and step / sqrt(c)^3 */
     double *normal, *slope;       /* (6, m) and (3, m): A' W A and A' target as products of neighbouring columns */
@@ -44,11 +45,10 @@ static double least(double a, double b) { return a < b || a != a ? a : b; }
 
 static double most(double a, double b) { return a > b || a != a ? a : b; }
 
-/* Row r of a stencil of `rows` rows, applied to c in cell i. */
-static double applied(const double *stencil, int64_t rows, int64_t m, int64_t r, int64_t i, const double *c)
+/* A row of a stencil, whose columns are `size` apart, applied to c in cell i. */
+static double applied(const double *row, int64_t size, int64_t i, const double *c)
 {
-    const double *at = stencil + r * m + i;
-    return at[0] * c[i] + at[rows * m] * c[i + 1] + at[2 * rows * m] * c[i + 2];
+    return row[i] * c[i] + row[size + i] * c[i + 1] + row[2 * size + i] * c[i + 2];
 }
 
 /* f of the rows B. */
@@ -61,7 +61,7 @@ static void set_shares(Counts n, const Program *program, Settings settings, cons
         for (int64_t r = 0; r < 2; r++)
             share[r * n.m + i] = largest;
         for (int64_t r = 2; r < n.curved; r++) {
-            double there = applied(program->places, n.curved - 2, n.m, r - 2, i, c);
+            double there = applied(program->places + (r - 2) * n.m, (n.curved - 2) * n.m, i, c);
             share[r * n.m + i] = sqrt(c[i + 1] / most(there, settings.least_share * c[i + 1]));
         }
     }
@@ -77,7 +77,7 @@ static void evaluate(Counts n, const Program *program, const Iterate *at, Work *
     }
     for (int64_t r = 0; r < n.linear; r++)
         for (int64_t i = 0; i < n.m; i++)
-            work->value[r * n.m + i] = applied(program->linear, n.linear, n.m, r, i, at->c) - 1.0;
+            work->value[r * n.m + i] = applied(program->linear + r * n.m, n.linear * n.m, i, at->c) - 1.0;
     int64_t size = n.curved * n.m;
     double *value = work->value + n.linear * n.m;
     for (int64_t r = 0; r < n.curved; r++) {
@@ -85,20 +85,32 @@ static void evaluate(Counts n, const Program *program, const Iterate *at, Work *
             int64_t k = r * n.m + i;
             for (int64_t j = 0; j < 3; j++)
                 work->stencil[j * size + k] = program->curved[j * size + k] * work->root[i];
-            value[k] = applied(work->stencil, n.curved, n.m, r, i, at->c) - at->share[k];
+            value[k] = applied(work->stencil + r * n.m, size, i, at->c) - at->share[k];
             work->stencil[size + k] += 0.5 * at->share[k] / (work->root[i] * work->root[i]);
         }
     }
 }
 
-/* Add a row of the stencil (first, first + size, first + 2 size) with its weights and targets to Newton's system. */
-static void add_row(int64_t m, const double *first, int64_t size, const double *value, const double *slack,
-                    const double *dual, double mu, Work *work)
+/* Row r of the stencils of all constraints; size: distance of its columns. */
+static const double *row_of(Counts n, const Program *program, const Work *work, int64_t r, int64_t *size)
 {
+    *size = (r < n.linear ? n.linear : n.curved) * n.m;
+    return r < n.linear ? program->linear + r * n.m : work->stencil + (r - n.linear) * n.m;
+}
+
+/* Add row r with its weights and targets to Newton's system. */
+static void add_row(Counts n, const Program *program, const Iterate *at, double mu, int64_t r, Work *work)
+{
+    int64_t size, m = n.m;
+    const double *row = row_of(n, program, work, r, &size);
     double *normal = work->normal, *slope = work->slope;
     for (int64_t i = 0; i < m; i++) {
-        double a = first[i], b = first[size + i], c = first[2 * size + i];
-        double weight = dual[i] / slack[i], target = mu / slack[i] + weight * (value[i] + slack[i]);
+        int64_t k = r * m + i;
+        double a = row[i], b = row[size + i], c = row[2 * size + i], slack = at->slack[k];
+        double weight = at->dual[k] / slack, centre = mu / slack;
+        double target = centre + weight * (work->value[k] + slack);
+        work->weight[k] = weight;
+        work->centre[k] = centre;
         normal[i] += weight * (a * a);
         normal[m + i] += weight * (b * b);
         normal[2 * m + i] += weight * (c * c);
@@ -166,14 +178,11 @@ static void solve_bands(Counts n, const Program *program, Work *work)
 /* Set the change of the coefficients (T9). Return whether it is finite. */
 static int newton_change(Counts n, const Program *program, const Iterate *at, double mu, Work *work)
 {
-    int64_t m = n.m, size = n.linear * m;
+    int64_t m = n.m;
     for (int64_t i = 0; i < 9 * m; i++)
         work->normal[i] = 0.0; /* and the slope */
-    for (int64_t r = 0; r < n.linear; r++)
-        add_row(m, program->linear + r * m, size, work->value + r * m, at->slack + r * m, at->dual + r * m, mu, work);
-    for (int64_t r = 0; r < n.curved; r++)
-        add_row(m, work->stencil + r * m, n.curved * m, work->value + size + r * m, at->slack + size + r * m,
-                at->dual + size + r * m, mu, work);
+    for (int64_t r = 0; r < n.rows; r++)
+        add_row(n, program, at, mu, r, work);
     band_product(m + 2, program->quadratic, at->c, work->product);
     for (int64_t i = 0; i < m + 2; i++)
         work->change[i] = 0.0;
@@ -190,23 +199,21 @@ static double fraction_to_boundary(double worst, double share)
     return worst < 0.0 ? least(1.0, -share / worst) : 1.0;
 }
 
-static double dual_change(const Iterate *at, const Work *work, double mu, int64_t k)
-{
-    return mu / at->slack[k] - at->dual[k] - at->dual[k] / at->slack[k] * work->slack_change[k];
-}
-
 /* Move along the change; return the smaller one of the primal and the dual step. */
-static double move(Counts n, const Program *program, Settings settings, double mu, Iterate *at, Work *work)
+static double move(Counts n, const Program *program, Settings settings, Iterate *at, Work *work)
 {
     double worst = INFINITY, worst_dual = INFINITY, worst_c = INFINITY;
     for (int64_t r = 0; r < n.rows; r++) {
+        int64_t size;
+        const double *row = row_of(n, program, work, r, &size);
         for (int64_t i = 0; i < n.m; i++) {
             int64_t k = r * n.m + i;
-            double along = r < n.linear ? applied(program->linear, n.linear, n.m, r, i, work->change)
-                                        : applied(work->stencil, n.curved, n.m, r - n.linear, i, work->change);
-            work->slack_change[k] = -(work->value[k] + at->slack[k]) - along;
-            worst = least(worst, work->slack_change[k] / at->slack[k]);
-            worst_dual = least(worst_dual, dual_change(at, work, mu, k) / at->dual[k]);
+            double change = -(work->value[k] + at->slack[k]) - applied(row, size, i, work->change);
+            double dual_change = work->centre[k] - at->dual[k] - work->weight[k] * change;
+            work->slack_change[k] = change;
+            work->dual_change[k] = dual_change;
+            worst = least(worst, change / at->slack[k]);
+            worst_dual = least(worst_dual, dual_change / at->dual[k]);
         }
     }
     for (int64_t i = 1; i <= n.m; i++)
@@ -217,9 +224,8 @@ static double move(Counts n, const Program *program, Settings settings, double m
     for (int64_t i = 0; i < n.m + 2; i++)
         at->c[i] += step * work->change[i];
     for (int64_t k = 0; k < n.rows * n.m; k++) {
-        double change = dual_change(at, work, mu, k);
         at->slack[k] += step * work->slack_change[k];
-        at->dual[k] += dual_step * change;
+        at->dual[k] += dual_step * work->dual_change[k];
     }
     return least(step, dual_step);
 }
@@ -258,9 +264,10 @@ static double gap_of(Counts n, const Iterate *at, const Work *work, double *resi
 static Work work_in(Counts n, double *room)
 {
     int64_t all = n.rows * n.m, curved = n.curved * n.m, m = n.m;
-    double *value = room, *stencil = room + 2 * all, *root = stencil + 3 * curved;
-    double *normal = root + 2 * m, *change = normal + 9 * m, *factors = change + 2 * (m + 2);
-    return (Work){value, value + all, stencil, root, root + m, normal, normal + 6 * m, change, change + m + 2, factors};
+    double *stencil = room + 5 * all, *root = stencil + 3 * curved, *normal = root + 2 * m;
+    double *change = normal + 9 * m, *factors = change + 2 * (m + 2);
+    return (Work){room,   room + all, room + 2 * all, room + 3 * all, room + 4 * all, stencil, root, root + m,
+                  normal, normal + 6 * m, change,     change + m + 2, factors};
 }
 
 /* Make at most `iterations` iterations of a program with m >= 4 cells.
@@ -271,7 +278,7 @@ static Work work_in(Counts n, double *room)
  *              of Q (4, m + 2), one after the other
  *   state      in and out: c (m + 2,), slack and dual (linear + curved, m), share (curved, m), mu, and whether the
  *              method has ended
- *   room       work, 2 (linear + curved) m + 3 curved m + 17 m + 4
+ *   room       work, 5 (linear + curved) m + 3 curved m + 17 m + 4
  *
  * Return the number of iterations, or -1 if a size is too small. */
 int64_t optdock_interior_point(int64_t m, int64_t linear, int64_t curved, int64_t before, int64_t iterations,
@@ -303,7 +310,7 @@ int64_t optdock_interior_point(int64_t m, int64_t linear, int64_t curved, int64_
             *ended = 1.0;
             break;
         }
-        double step = move(n, &given, settings, *mu, &at, &work);
+        double step = move(n, &given, settings, &at, &work);
         if (before + done <= UPDATES)
             set_shares(n, &given, settings, at.c, at.share);
         evaluate(n, &given, &at, &work);

@@ -45,7 +45,7 @@ def state_after(state: MotionState, duration: float, jerk: float) -> MotionState
 
 def duration_of(phases: Phases) -> float:
     """Return the total duration of phases [s]."""
-    return sum(duration for duration, _jerk in phases)
+    return sum([duration for duration, _jerk in phases])
 
 
 def stretched(phases: Phases, factor: float) -> Phases:
@@ -74,18 +74,18 @@ class Motion(NamedTuple):
         """Return the motion from a start state; phases of zero duration are omitted."""
         table = np.array([phase for phase in phases if phase[0] > 0.0], dtype=np.float64).reshape(-1, 2)
         durations, jerks = table[:, 0], table[:, 1]
-        times = np.concatenate(([0.0], np.cumsum(durations)))
+        times = np.concatenate(([0.0], durations.cumsum()))
         return cls(durations, jerks, times, border_states(durations, jerks, start))
 
     @property
     def start(self) -> MotionState:
         """State at the start."""
-        return MotionState(*(float(value) for value in self.states[:, 0]))
+        return MotionState(*self.states[:, 0].tolist())
 
     @property
     def end(self) -> MotionState:
         """State at the end."""
-        return MotionState(*(float(value) for value in self.states[:, -1]))
+        return MotionState(*self.states[:, -1].tolist())
 
     @property
     def phases(self) -> Phases:

@@ -155,7 +155,7 @@ class ReferenceMotion(NamedTuple):
     @property
     def bad(self) -> tuple[Move, ...]:
         """Moves that violate a limit."""
-        return tuple(one for one in self.moves if one.excess > 1.0)
+        return tuple([one for one in self.moves if one.excess > 1.0])
 
     @property
     def sound(self) -> bool:
@@ -178,7 +178,7 @@ def reference_motion(
         cells = spline_phases(reference.s, reference.v, reference.a)
         return ReferenceMotion(reference.launch.phases + cells + reference.stop.phases)
     moves = split_into_moves(reference, bounds, start, deadline)
-    return ReferenceMotion(tuple(phase for one in moves for phase in one.phases), tuple(moves))
+    return ReferenceMotion(tuple([phase for one in moves for phase in one.phases]), tuple(moves))
 
 
 class _Tried(NamedTuple):

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -401,6 +402,22 @@ class ReferenceBounds:
     def jerk(self) -> float:
         """Bound on the jerk of the reference [m/s^3]."""
         return self.limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
+
+    @cached_property
+    def packed(self) -> tuple[FloatArray, FloatArray]:
+        """All of `curve_at` and `jump_excess_at` for the kernels.
+
+        The first array contains the nodes, and curvature, rate and slowness at the left end of the cells with their
+        slopes, Shape (7 n - 6,). The second array contains place, curvature, rates on both sides and slowness at the
+        jumps, Shape (5, jumps).
+        """
+        limits, nodes = self.limits, self.jumps
+        slowness = np.zeros(nodes.size)
+        if limits.caps.steering:
+            slowness = np.maximum(limits.slowness_right[nodes - 1], limits.slowness_left[nodes])
+        sides = limits.rate_right[nodes - 1], limits.rate_left[nodes]
+        along = np.concatenate((limits.s, self._left.ravel(), self._slope.ravel()))
+        return along, np.array((limits.s[nodes], limits.curvature[nodes], *sides, slowness))
 
     def curve_at(self, s: FloatArray) -> FloatArray:
         """Return curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""

@@ -152,10 +152,10 @@ def end_slack(limits: PathLimits) -> float:
 
 def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
     """Return the plan of a motion, OK if the motion ends at rest at the end of the segment; limits are not checked."""
-    off = abs(motion.end.s - limits.length)
-    if off <= end_slack(limits) and max(abs(motion.end.v), abs(motion.end.a)) <= _REACHED:
+    end = motion.end
+    if abs(end.s - limits.length) <= end_slack(limits) and max(abs(end.v), abs(end.a)) <= _REACHED:
         return SegmentPlan(TimingStatus.OK, motion.phases, how=how)
-    reason = f"ends at {motion.end}, not at rest after {limits.length:.6g} m"
+    reason = f"ends at {end}, not at rest after {limits.length:.6g} m"
     return SegmentPlan(TimingStatus.FAIL, motion.phases, how=how, reason=reason)
 
 

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import ENDLESS
+from optdock.kernels import Kernel, twin_of
 from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
 from optdock.timing.jerk_phases import MotionState, Phases, state_after
@@ -39,6 +40,7 @@ __all__ = [
     "Arc",
     "Grid",
     "LimitRows",
+    "Prepared",
     "ReferenceStates",
     "Spline",
     "coefficients_of",
@@ -47,6 +49,7 @@ __all__ = [
     "jerk_step_bands",
     "launch_arc",
     "limit_rows",
+    "prepared",
     "solve_reference",
     "spline_of",
     "spline_phases",
@@ -189,7 +192,7 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
 
 def _spread(total: float, count: int) -> FloatArray:
     """Return `count` + 1 times from 0 to `total`."""
-    times: FloatArray = np.arange(count + 1.0) * (total / count)
+    times: FloatArray = np.arange(count + 1, dtype=np.float64) * (total / count)
     times[-1] = total
     return times
 
@@ -395,13 +398,9 @@ def initial_guess(
     from one limit to the other, and limited by the launch and stop arcs. This guess halves the number of iterations to
     about 10.
     """
-    drive, time = bounds.limits.drive, grid.time
-    total = float(profile.time[-1])
-    times = _spread(total, max(2, int(total / _GUESS_SAMPLE)))
-    # The acceleration cannot exceed sqrt(peak * jerk) before the speed is at its peak.
-    reachable = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
-    half = 0.5 * (min(drive.max_acceleration, reachable) + min(drive.max_deceleration, reachable)) / drive.max_jerk
-    samples = min(times.size, int(half * (times.size - 1) / total) + 1)
+    time = grid.time
+    count, samples = _filter(bounds, profile)
+    times = _spread(float(profile.time[-1]), count)
     values = np.interp(times, profile.time, profile.speed_squared)
     padded = np.zeros(values.size + 2 * samples + 1)
     padded[samples + 1 : samples + 1 + values.size] = values
@@ -417,6 +416,79 @@ def initial_guess(
     stop = last.v + until * (-last.a + 0.5 * jerk * until)
     below: FloatArray = np.minimum(x, np.minimum(launch, stop) ** 2)
     return below
+
+
+def _filter(bounds: ReferenceBounds, profile: SpeedProfile) -> tuple[int, int]:
+    """Return the number of periods of the filtered profile, and half the width of the filter in periods."""
+    drive, total = bounds.limits.drive, float(profile.time[-1])
+    count = max(2, int(total / _GUESS_SAMPLE))
+    # The acceleration cannot exceed sqrt(peak * jerk) before the speed is at its peak.
+    reachable = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
+    half = 0.5 * (min(drive.max_acceleration, reachable) + min(drive.max_deceleration, reachable)) / drive.max_jerk
+    return count, min(count + 1, int(half * count / total) + 1)
+
+
+class Prepared(NamedTuple):
+    """The reference program, with its first coefficients and the stencil of x''."""
+
+    program: Program
+    first: FloatArray  # Shape (M + 2,)
+    curve: FloatArray  # Shape (3, M)
+
+
+_KERNEL = Kernel("optdock_reference_program", sizes=6, numbers=15)
+
+
+def _prepared_native(
+    bounds: ReferenceBounds, profile: SpeedProfile, grid: Grid, first: MotionState, last: MotionState
+) -> Prepared:
+    limits, drive, m = bounds.limits.turning, bounds.limits.drive, grid.steps.size
+    curved = sum(limit.order == 2 for limit in limits)
+    rows, curved_rows = 3 + 4 * (len(limits) - curved), 2 + 4 * curved
+    count, half = _filter(bounds, profile)
+    knots = (grid.bound, grid.curvature, *grid.rate, grid.time, *grid.turning)
+    cells = (grid.steps, grid.centre_curvature, *grid.centre_rate)
+    size, nodes, work = 3 * (rows + 2 * curved_rows) * m + 9, profile.time.size, 17 * m + 3 * count + 2 * half + 5
+    data, coefficients = np.empty(size), np.empty(4 * m + 2)
+    orders = [*(float(limit.order) for limit in limits), 0.0, 0.0][:2]
+    ends = (first.v, first.v**2, first.a, last.v, last.v**2, last.a)
+    share = 1.0 - _DRIVE_MARGIN
+    most = (share * drive.max_acceleration, share * drive.max_deceleration, bounds.jerk, _price(bounds))
+    done = _KERNEL(
+        (m, len(limits), curved, nodes, count + 1, half),
+        (*most, float(profile.time[-1]), _GUESS_SHARE, _GUESS_BLEND, *ends, *orders),
+        (
+            (np.concatenate(knots), (5 + len(limits)) * (m + 1)),
+            (np.concatenate(cells), 4 * m),
+            (np.concatenate(profile), 2 * nodes),
+            (data, size),
+            (coefficients, 4 * m + 2),
+            (np.empty(work), work),
+        ),
+    )
+    if done < 0:
+        raise ValueError("reference program: needs at least two cells and at most two turning limits")
+    return Prepared(
+        Program.packed(data, m, rows, curved_rows), coefficients[: m + 2], coefficients[m + 2 :].reshape(3, m)
+    )
+
+
+@twin_of(_prepared_native)
+def prepared(
+    bounds: ReferenceBounds, profile: SpeedProfile, grid: Grid, first: MotionState, last: MotionState
+) -> Prepared:
+    """Return the reference program on a grid from `first` to `last`, and its first coefficients."""
+    guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
+    # A swing from -J to J is a step of x'' by 4 J / v.
+    bands = jerk_step_bands(spline, np.sqrt(0.5 * _price(bounds) * guess[1:-1]) / (4.0 * bounds.jerk))
+    rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
+    with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
+    program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
+    return Prepared(program, coefficients_of(grid.steps, guess, first, last), spline.curve)
+
+
+def _price(bounds: ReferenceBounds) -> float:
+    return _SMOOTH_JERK_STEP_PRICE if bounds.smooth else _JERK_STEP_PRICE
 
 
 class ReferenceStates(NamedTuple):
@@ -456,21 +528,16 @@ def solve_reference(
     if last.s - first.s < _LEAST_REST * limits.length:
         return None
     grid = grid_of(bounds, profile, first, last)
-    guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
-    # A swing from -J to J is a step of x'' by 4 J / v.
-    price = _SMOOTH_JERK_STEP_PRICE if bounds.smooth else _JERK_STEP_PRICE
-    bands = jerk_step_bands(spline, np.sqrt(0.5 * price * guess[1:-1]) / (4.0 * bounds.jerk))
-    rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
-    with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
-    program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
+    program, c, curve = prepared(bounds, profile, grid, first, last)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
-        c = coefficients_of(grid.steps, guess, first, last)
         c, iterations = solve(program, c, deadline.look)
-    x, a = (np.concatenate(([0.0], applied(part, c))) for part in (spline.right_value, spline.right_slope))
-    v = np.sqrt(np.maximum(x, 1e-12))
+    x = (1.0 - program.right_share) * c[:-1] + program.right_share * c[1:]
+    padded = np.concatenate((grid.steps[:1], grid.steps, grid.steps[-1:]))
+    slope = 1.0 / (padded[:-1] + padded[1:])
+    v, a = np.sqrt(np.maximum(x, 1e-12)), slope * c[1:] - slope * c[:-1]
     a = np.minimum(np.maximum(a, -limits.drive.max_deceleration), limits.drive.max_acceleration)
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
-    found = ReferenceStates(grid.knots, v, a, applied(spline.curve, c), grid, launch, stop, iterations)
+    found = ReferenceStates(grid.knots, v, a, applied(curve, c), grid, launch, stop, iterations)
     longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
     return found if float(found.durations.sum()) <= longest else None
 

@@ -20,8 +20,10 @@ import numpy as np
 
 from optdock.deadline import ENDLESS
 from optdock.errors import PluginError
+from optdock.kernels import Kernel, twin_of
 from optdock.model.constant_jerk import constant_jerk
 from optdock.timing.jerk_phases import DriveBounds, MotionState, Phases, duration_of
+from optdock.timing.path_limits import CHECK_MARGIN
 from optdock.timing.reference_program import spline_phases
 
 if TYPE_CHECKING:
@@ -197,10 +199,12 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
     jerk = 0.5 * np.abs(reference.curve) * np.maximum(v[:-1], v[1:])
     launch, stop = duration_of(reference.launch.phases), duration_of(reference.stop.phases)
     head = [launch] if launch > 0.0 else []
-    columns = ([*(value for _ in head), *column.tolist()] for value, column in zip(start, (s, v, a), strict=True))
-    s_all, v_all, a_all = ([*column, value] for column, value in zip(columns, end, strict=True))
+    s_all, v_all, a_all = [
+        [*[first] * len(head), *column.tolist(), last]
+        for first, column, last in zip(start, (s, v, a), end, strict=True)
+    ]
     times = list(itertools.accumulate([*head, *reference.durations.tolist(), stop], initial=0.0))
-    jerks = [*(np.inf for _ in head), *jerk.tolist(), np.inf]
+    jerks = [*[np.inf] * len(head), *jerk.tolist(), np.inf]
     return _Nodes(s_all, v_all, a_all, times, jerks, zone + len(head) if zone else 0)
 
 
@@ -249,8 +253,8 @@ def _try_pieces(
         own = None
         if j - i == 1 and not (gentle or full):
             own = spline_phases(*(np.array(column[i : i + 2]) for column in (nodes.s, nodes.v, nodes.a)))
-        moves.extend(((i, j), phases) for phases in (gentle, full, own) if phases)
-    found = _evaluate(bounds, [(nodes.state(ends[0]), phases) for ends, phases in moves])
+        moves += [((i, j), phases) for phases in (gentle, full, own) if phases]
+    found = _evaluate(bounds, [(nodes.state(ends[0]), phases) for ends, phases in moves]) if moves else []
     best: dict[tuple[int, int], Move | None] = dict.fromkeys(active)
     for (ends, phases), (excess, worst) in zip(moves, found, strict=True):
         known = best[ends]
@@ -315,10 +319,40 @@ class _Samples(NamedTuple):
         return speed, acceleration
 
 
+_KERNEL = Kernel("optdock_move_excess", sizes=6, numbers=5)
+
+
+def _evaluate_native(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
+    n, turning, (along, jumps) = len(moves), bounds.limits.turning, bounds.packed
+    phases = np.array([phase for _start, own in moves for phase in own])
+    total, nodes, found = len(phases), bounds.limits.s.size, np.empty((n, 2))
+    room = total + int(phases[:, 0].sum() / _SAMPLE) + 1
+    done = _KERNEL(
+        (n, total, nodes, bounds.jumps.size, len(turning), room),
+        (_SAMPLE, _CRAWL, bounds.relief, 1.0 / (1.0 - CHECK_MARGIN), turning[0].bound if turning else 0.0),
+        (
+            (np.array([len(own) for _start, own in moves]), n),
+            (np.array([start for start, _own in moves]), 3 * n),
+            (phases, 2 * total),
+            (along, 7 * nodes - 6),
+            (jumps, 5 * bounds.jumps.size),
+            (found, 2 * n),
+            (np.empty(6 * room), 6 * room),
+        ),
+    )
+    if done < 0:
+        raise ValueError("moves: must have phases of finite durations")
+    return [(excess, place) for excess, place in found.tolist()]
+
+
 def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    """Return the largest excess of every move and its position, vectorized over all moves."""
-    if not moves:
-        return []
+    """Return the largest excess of every move, and its last position, vectorized over all moves."""
+    # The last bits of a cube root, which turning limits of order 2 need, depend on the library.
+    has_roots = any(limit.order != 1 for limit in bounds.limits.turning)
+    return (_evaluate_numpy if has_roots else _evaluate_chosen)(bounds, moves)
+
+
+def _evaluate_numpy(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
     phases, counts = _phase_rows(moves)
     number_of = phases[:, 5].astype(np.int64)
     owner = np.repeat(np.arange(number_of.size), number_of)
@@ -334,9 +368,12 @@ def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) 
         _add_jumps(bounds, samples, excess)
     worst = np.maximum.reduceat(excess, samples.begins)
     at_worst = np.flatnonzero(excess >= worst[samples.owners])
-    place = np.empty(worst.size)
+    place = np.full(worst.size, np.nan)
     place[samples.owners[at_worst]] = samples.s[at_worst]
     return list(zip(worst.tolist(), place.tolist(), strict=True))
+
+
+_evaluate_chosen = twin_of(_evaluate_native)(_evaluate_numpy)
 
 
 def _phase_rows(moves: list[tuple[MotionState, Phases]]) -> tuple[FloatArray, FloatArray]:
@@ -359,7 +396,7 @@ def _add_jumps(bounds: ReferenceBounds, samples: _Samples, excess: FloatArray) -
     owner = np.repeat(np.arange(count.size), count)
     index = first[owner] + np.arange(owner.size) - (np.cumsum(count) - count)[owner]
     stride = 2.0 * bounds.limits.length  # moves overlap; after a shift they form one increasing sequence
-    key = samples.s + stride * samples.owners
+    key = np.maximum.accumulate(samples.s + stride * samples.owners)
     before = np.maximum(np.searchsorted(key, places[index] + stride * owner) - 1, samples.begins[owner])
     v, a = samples.reached(before, places[index], _SAMPLE)
     np.maximum.at(excess, before, bounds.jump_excess_at(bounds.jumps[index], v, a))

@@ -283,7 +283,7 @@ def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found
     at_entries = (entries.times(law), *entries.motion(law)[:2])
     for i, (begin, end, limit) in enumerate(stretches.tolist()):
         inside, ends = (found.s >= begin) & (found.s <= end), slice(2 * i, 2 * i + 2)
-        t, s, v = (np.concatenate((all_of[inside], when[ends])) for all_of, when in zip(found, at_entries, strict=True))
+        t, s, v = [np.concatenate((all_of[inside], when[ends])) for all_of, when in zip(found, at_entries, strict=True)]
         k = int(v.argmax())
         yield _Peak("speed", limit, float(v[k]), float(t[k]), float(s[k]))
 

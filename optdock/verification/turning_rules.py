@@ -139,7 +139,7 @@ def path_pieces(path: Path) -> Pieces:
         _segment_pieces(segment, float(start))
         for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
     ]
-    return Pieces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Pieces(*[np.concatenate(columns) for columns in zip(*parts, strict=True)])
 
 
 def _segment_pieces(segment: Segment, start: float) -> Pieces:
@@ -185,11 +185,11 @@ class Cells(NamedTuple):
 
     def rows(self, keep: IntArray | slice) -> Cells:
         """Return the cells selected by `keep`."""
-        return Cells(*(column[keep] for column in self))
+        return Cells(*[column[keep] for column in self])
 
     def and_also(self, more: Cells) -> Cells:
         """Return the concatenation of these cells and `more`."""
-        return Cells(*(np.concatenate(columns) for columns in zip(self, more, strict=True)))
+        return Cells(*[np.concatenate(columns) for columns in zip(self, more, strict=True)])
 
     def halves(self) -> Cells:
         """Return both halves of every cell."""

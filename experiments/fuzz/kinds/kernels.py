@@ -1,9 +1,7 @@
-"""Kernels in C against their NumPy twins: bounds of stretches, whole proofs of clearance, and time laws.
+"""Kernels in C against their NumPy twins: bounds of stretches, also degenerate ones, and whole proofs of clearance.
 
 Both must be equal to the last bit. Stretches are drawn with bodies and obstacles that touch or overlap, in tiny cells,
-at huge coordinates, and with NaN and infinite numbers; programs of the interior point method with cells of very
-different lengths, without a solution, and with NaN and infinite numbers; and places that motions reach, also at rests
-and beyond the end.
+at huge coordinates, and with NaN and infinite numbers.
 """
 
 from __future__ import annotations
@@ -20,60 +18,34 @@ from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.kernels import using_kernels
-from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import Path
-from optdock.timing.interior_point import Iterate, Program, advanced
-from optdock.timing.reference_program import jerk_step_bands, spline_of
 from optdock.verification import stretch_bounds
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.proximity import bounded_footprint
 from optdock.verification.stretch_bounds import Advances
-from optdock.verification.turning_rules import crossings
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from optdock.geometry.arrays import FloatArray
-    from optdock.kernels import Lane
     from optdock.verification.proximity import BoundedBody
 
-__all__ = [
-    "DEGENERATE",
-    "DEGENERATE_PROGRAMS",
-    "draw",
-    "drawn_law",
-    "drawn_program",
-    "drawn_shapes",
-    "drawn_stretches",
-    "is_equal",
-    "judge",
-]
+__all__ = ["DEGENERATE", "draw", "drawn_shapes", "drawn_stretches", "is_equal", "judge"]
 
 DEGENERATE = ("none", "touching", "tiny", "huge", "still", "nan", "inf")
-DEGENERATE_PROGRAMS = ("none", "lengths", "infeasible", "tiny", "nan", "inf")
-_PROOFS, _CROSSINGS, _PROGRAMS = 0.2, 0.2, 0.2  # shares of the cases
-LANES: tuple[Lane, Lane] = ("twin", "native")
+_PROOFS = 0.2  # share of the cases that are whole proofs
 _SETS = 10  # of stretches for every body and its obstacles
 _FAR = 1e7  # [m]
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """Draw a path problem, or the seed and the degeneracy of stretches, of a program or of a time law."""
-    share = rng.uniform()
-    if share < _PROOFS:
+    """Draw a path problem, or the seed and the degeneracy of stretches."""
+    if rng.uniform() < _PROOFS:
         return {**path_problem(rng), "kind": "kernels", "degenerate": None}
-    if share < _PROOFS + _CROSSINGS:
-        return {"kind": "kernels", "law": int(rng.integers(2**31))}
-    if share < _PROOFS + _CROSSINGS + _PROGRAMS:
-        return {"kind": "kernels", "program": str(rng.choice(DEGENERATE_PROGRAMS)), "seed": int(rng.integers(2**31))}
     return {"kind": "kernels", "degenerate": str(rng.choice(DEGENERATE)), "seed": int(rng.integers(2**31))}
 
 
 def judge(case: Case) -> Verdict:
     """Compare both lanes."""
-    if "law" in case:
-        return _crossings(np.random.default_rng(case["law"]))
-    if "program" in case:
-        return _programs(case)
     if case["degenerate"] is None:
         return _proofs(case)
     rng = np.random.default_rng(case["seed"])
@@ -81,7 +53,7 @@ def judge(case: Case) -> Verdict:
     for _ in range(_SETS):
         advances, within = drawn_stretches(rng, case["degenerate"])
         found = []
-        for lane in LANES:
+        for lane in ("twin", "native"):
             with using_kernels(lane), np.errstate(all="ignore"):
                 found.append(stretch_bounds._body_bounds(body, advances, obstacles, within))
         if not is_equal(*found):
@@ -95,74 +67,10 @@ def _proofs(case: Case) -> Verdict:
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
     found = []
-    for lane in LANES:
+    for lane in ("twin", "native"):
         with using_kernels(lane):
             found.append(prove_clearance(Path(path.segments), problem))
     return Verdict("equal proofs") if is_equal(*found) else Verdict("kernel differs", "proof")
-
-
-def _crossings(rng: np.random.Generator) -> Verdict:
-    for _ in range(_SETS):
-        law, places = drawn_law(rng)
-        found = []
-        for lane in LANES:
-            with using_kernels(lane), np.errstate(all="ignore"):
-                found.append(crossings(law, places))
-        if not is_equal(*found):
-            return Verdict("kernel differs", "crossings")
-    return Verdict("equal crossings")
-
-
-def drawn_law(rng: np.random.Generator) -> tuple[TimeLaw, FloatArray]:
-    """Draw a time law, possibly with rests, phases backwards and very short phases, and places, some of them NaN."""
-    n = int(rng.integers(1, 30))
-    durations = np.exp(rng.uniform(-20.0 if rng.uniform() < 0.3 else -3.0, 1.0, n))
-    jerks = rng.choice([0.0, 1.0, -1.0], n) * rng.exponential(1.0, n)
-    at_rest = rng.uniform() < 0.3
-    law = TimeLaw(
-        durations, jerks if not at_rest else 0.0 * jerks, 0.0, 0.0 if at_rest else float(rng.exponential(1.0))
-    )
-    borders = law.states[:, 0]
-    places = np.concatenate((borders, rng.uniform(-1.0, 2.0, 20) * max(1e-3, float(np.abs(borders).max())), [np.nan]))
-    places[rng.integers(0, n + 1)] += 1e-15
-    return law, rng.permutation(places)
-
-
-def _programs(case: Case) -> Verdict:
-    program, c = drawn_program(np.random.default_rng(case["seed"]), case["program"])
-    found = []
-    for lane in LANES:
-        with using_kernels(lane), np.errstate(all="ignore"):
-            iterate = Iterate.of(program, c)
-            found.append([iterate := advanced(program, iterate, most) for most in (1, 7, 40)])
-    same = all(is_equal(*pair) for pair in zip(*found, strict=True))
-    return Verdict("equal programs") if same else Verdict("kernel differs", f"program: {case['program']}")
-
-
-def drawn_program(rng: np.random.Generator, degenerate: str) -> tuple[Program, FloatArray]:
-    """Draw a program of the interior point method and positive coefficients; see `DEGENERATE_PROGRAMS`."""
-    count, with_places = int(rng.integers(4, 40)), int(rng.integers(0, 5))
-    spread = 8.0 if degenerate == "lengths" else 1.0
-    steps = 0.05 * np.exp(spread * rng.uniform(-1.0, 1.0, count))
-    spline = spline_of(steps)
-    value, curve = spline.right_value, spline.curve / rng.uniform(0.5, 20.0)
-    most = rng.uniform(0.05, 1.0, count) * (1e-12 if degenerate == "tiny" else 1.0)
-    turns = rng.normal(size=(int(rng.integers(0, 6)), count))
-    rows = [value / most, spline.right_slope / 0.7, -spline.right_slope / 0.7, *(turn * value for turn in turns)]
-    curved = [curve, -curve, *(value * rng.normal(size=count) for _ in range(with_places))]
-    places = np.stack([value] * with_places, axis=1) if with_places else np.zeros((3, 0, count))
-    bands = jerk_step_bands(spline, rng.exponential(1e-3, count - 1))
-    program = Program(steps, np.stack(rows, axis=1), np.stack(curved, axis=1), places, spline.right_share, bands)
-    c = np.full(count + 2, float(rng.uniform(0.1, 0.5)) * most.min())
-    if degenerate == "infeasible":
-        c[:2] = 5.0 * most[:2]  # given, and above their bounds
-    if degenerate in ("nan", "inf"):
-        spoiled = (*program, c)[int(rng.integers(7))]
-        if spoiled.size:
-            spoiled.flat[int(rng.integers(spoiled.size))] = (
-                np.nan if degenerate == "nan" else rng.choice([-1, 1]) * np.inf
-            )
-    return program, c
 
 
 def is_equal(first: tuple[object, ...], second: tuple[object, ...]) -> bool:

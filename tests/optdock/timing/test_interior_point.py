@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments.fuzz.kinds.kernels import DEGENERATE_PROGRAMS, LANES, drawn_program, is_equal
+from experiments.fuzz.kinds.kernels import is_equal
+from experiments.fuzz.kinds.timing_kernels import DEGENERATE_PROGRAMS, LANES, drawn_program
 from optdock.kernels import using_kernels
 from optdock.timing.interior_point import (
     Iterate,

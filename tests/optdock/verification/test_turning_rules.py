@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from experiments.fuzz.kinds.kernels import LANES, drawn_law, is_equal
+from experiments.fuzz.kinds.kernels import is_equal
+from experiments.fuzz.kinds.timing_kernels import LANES, drawn_law
 from optdock.kernels import using_kernels
 from optdock.model.constant_jerk import TimeLaw
 from optdock.verification.turning_rules import _crossings_native, crossings
