@@ -20,7 +20,7 @@ from optdock.deadline import set_clock
 from optdock.errors import OptdockError
 from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
-from optdock.planners.manoeuvres import distance_field, free_space
+from optdock.planners.manoeuvres import arcs, connections, distance_field, free_space
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.timing import interior_point, reference_program, ruckig_moves
 from optdock.verification import certify_path, clearance_rounds, compiled_clearances, stretch_bounds, trajectory_rules
@@ -46,7 +46,9 @@ _KERNELS = {
     "witness points": (linearization, "_witnesses"),
     "disc states": (free_space, "disc_states"),
     "tile of the field": (distance_field, "_tile_values"),
-    "clearances of poses": (free_space, "_clearances"),
+    "free poses": (free_space, "_are_free"),
+    "free lengths of arcs": (arcs, "_free_lengths"),
+    "free words": (connections, "are_free"),
     "crossings": (trajectory_rules, "crossings"),
     "interior point": (interior_point, "advanced"),
     "program of the time law": (reference_program, "prepared"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.kernels import Kernel, twin_of
 from optdock.model.path import Path
 from optdock.model.segments import Direction, PolylineSegment
 from optdock.planners.manoeuvres.price import driving_prices, stopping_cost
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["ArcTree", "Arcs", "Moves", "advance", "joined"]
+__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "joined"]
 
 _NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
@@ -185,6 +186,28 @@ class ArcTree:
         return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
 
 
+_LENGTHS_KERNEL = Kernel("optdock_free_lengths", sizes=4, numbers=0)
+
+
+def _free_lengths_native(
+    starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
+) -> FloatArray:
+    (poses, signs, curvatures), steps = starts, _steps(longest, space.spacing(effort))
+    n, free = len(poses), np.empty(len(poses))
+    if len(space.obstacles) == 0:
+        return np.full(n, longest)
+    columns = [(np.ascontiguousarray(column), column.size) for column in (poses, signs, curvatures, steps)]
+    limits = effort.margin, effort.start_relief
+    space.check(_LENGTHS_KERNEL, (n, steps.size, _BISECTIONS), (), (*columns, (free, n)), limits)
+    return free
+
+
+def _steps(longest: float, spacing: float) -> FloatArray:
+    """Return ascending lengths at most `spacing` [m] apart, the last of which is `longest` [m]."""
+    return np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
+
+
+@twin_of(_free_lengths_native)
 def _free_lengths(
     starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
 ) -> FloatArray:
@@ -198,8 +221,7 @@ def _free_lengths(
         return found.reshape(ends.shape[:2])
 
     free = np.zeros(signs.size)
-    spacing = space.spacing(effort)
-    steps = np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
+    steps = _steps(longest, space.spacing(effort))
     going, blocked = np.arange(free.size), np.zeros(free.size)
     for k in range(0, steps.size, _STRIDE):
         some = steps[k : k + _STRIDE]
@@ -220,6 +242,30 @@ def _free_lengths(
         free[ended] = np.where(good, middle, free[ended])
         blocked[ended] = np.where(good, blocked[ended], middle)
     return free
+
+
+_SEQUENCES_KERNEL = Kernel("optdock_free_sequences", sizes=3, numbers=1)
+
+
+def _are_free_native(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> BoolArray:
+    (n, count), free = arcs.lengths.shape, np.ones(len(arcs.lengths), dtype=np.int64)
+    if len(space.obstacles):
+        columns = [(np.ascontiguousarray(column), column.size) for column in arcs]
+        space.check(_SEQUENCES_KERNEL, (n, count), (spacing,), (*columns, (free, n)), limits)
+    return free.astype(np.bool_)
+
+
+@twin_of(_are_free_native)
+def are_free(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> BoolArray:
+    """Whether sequences are free at poses at most `spacing` [m] apart, including all joints. Shape (n,).
+
+    `limits`: margin and start relief [m]; see `FreeSpace.is_free`.
+    """
+    blocks = [arcs.rows(slice(k, k + 1)).poses_every(spacing) for k in range(len(arcs.lengths))]
+    free = space.is_free(np.concatenate(blocks), *limits)
+    begins = np.cumsum([0, *(len(block) for block in blocks[:-1])])
+    found: BoolArray = np.logical_and.reduceat(free, begins)
+    return found
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:

@@ -8,7 +8,7 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import Arcs, joined
+from optdock.planners.manoeuvres.arcs import Arcs, are_free, joined
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 
@@ -168,7 +168,7 @@ def free_manoeuvres(
             if found.prices[k + row] >= worthwhile():
                 return
             word = words.rows(slice(row, row + 1))
-            if not space.is_free(word.poses_every(space.spacing(effort)), *limits).all():
+            if not are_free(word, space.spacing(effort), space, limits)[0]:
                 continue
             r = k + row
             way_out, way_in = exits.way(int(found.exits[r])), entries.way(int(found.entries[r]))
@@ -180,5 +180,4 @@ def free_manoeuvres(
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
     """Whether a single manoeuvre is collision-free at finely spaced poses, without the margin."""
     space.poll()
-    poses = whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH)
-    return bool(space.is_free(poses, 0.0, effort.start_relief).all())
+    return bool(are_free(whole, space.width / _CLOSE_POSES_PER_WIDTH, space, (0.0, effort.start_relief))[0])

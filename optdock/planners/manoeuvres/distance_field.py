@@ -29,20 +29,20 @@ class DistanceField:
     """Distances up to `reach` [m] from points of a square to the nearest obstacle.
 
     `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: spacing of the grid [m]. `poll`: called before
-    every tile is computed. Attribute `side`: number of grid points along each side; attribute `origin`: the first grid
-    point, Shape (2,) [m].
+    every tile is computed. Attributes `tiles`, `side`: numbers of tiles and grid points along each side; attribute
+    `origin`: the first grid point, Shape (2,) [m].
     """
 
     def __init__(
         self, obstacles: ObstacleSet, square: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
     ) -> None:
-        self._tiles = int(np.ceil(square[2] / (spacing * _TILE) - 1e-9))
-        self.poll, self.side = poll, _TILE * self._tiles
+        self.tiles = int(np.ceil(square[2] / (spacing * _TILE) - 1e-9))
+        self.poll, self.side = poll, _TILE * self.tiles
         self.spacing, self.reach = spacing, reach
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        self._slots = np.full(self._tiles**2, -1)  # index of the values of a tile; -1: not computed yet
+        self._slots = np.full(self.tiles**2, -1)  # index of the values of a tile; -1: not computed yet
         self._missing = np.empty_like(self._slots)
         self._values = np.empty((16, _TILE, _TILE))
         self._count = 0
@@ -61,7 +61,7 @@ class DistanceField:
     def at(self, index: IntArray) -> FloatArray:
         """Return the distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
-        tile = (i // _TILE) * self._tiles + j // _TILE
+        tile = (i // _TILE) * self.tiles + j // _TILE
         slot = self._slots[tile]
         missing = slot < 0
         if missing.any():
@@ -83,7 +83,7 @@ class DistanceField:
             self._fill(tile)
 
     def _fill(self, tile: int) -> None:
-        first = np.array(divmod(tile, self._tiles)) * _TILE
+        first = np.array(divmod(tile, self.tiles)) * _TILE
         axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
         self.poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach

@@ -1,4 +1,4 @@
-/* Distance field of the search: the functions `_tile_values` and `disc_states` of `distance_field.py` in C.
+/* Distance field of the search: the function `_tile_values` of `distance_field.py` in C.
  *
  * Sums and products are evaluated in the order of the twins, so the results are equal to the last bit. Only guesses
  * depend on this file; the certificate has code of its own. */
@@ -62,75 +62,4 @@ int64_t optdock_tile_values(int64_t boxes, int64_t polygons, int64_t k, double r
         }
     }
     return 0;
-}
-
-/* The grid: number of tiles along a side, spacing and first point [m], index of the values of every tile. */
-typedef struct {
-    int64_t tiles;
-    double spacing, x, y;
-    int64_t *slots;       /* (tiles, tiles); -1: not computed yet, -2: in the list of missing tiles */
-    const double *values; /* (computed tiles, TILE, TILE) [m] */
-} Field;
-
-/* Bounds of the distance of a point [m]; the lower bound is -inf outside the field. */
-typedef struct {
-    double lower, upper;
-} Bounds;
-
-/* A cell of the grid; NaN becomes 0. */
-static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
-
-/* Return 0 if the tile of the point is missing, and append it to the list unless it is there already. */
-static int bounds_at(const Field *field, double px, double py, int64_t *missing, int64_t *count, Bounds *bounds)
-{
-    double last = (double)(TILE * field->tiles - 1);
-    double u = (px - field->x) / field->spacing, v = (py - field->y) / field->spacing;
-    double column = rint(u), row = rint(v);
-    int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
-    int64_t i = (int64_t)clamped(column, last), j = (int64_t)clamped(row, last);
-    int64_t tile = i / TILE * field->tiles + j / TILE, slot = field->slots[tile];
-    if (slot < 0) {
-        if (slot == -1)
-            missing[(*count)++] = tile;
-        field->slots[tile] = -2;
-        return 0;
-    }
-    double distance = field->values[TILE * TILE * slot + TILE * (i % TILE) + j % TILE];
-    double du = u - column, dv = v - row, away = field->spacing * sqrt(du * du + dv * dv);
-    *bounds = (Bounds){is_inside ? distance - away : -INFINITY, distance + away};
-    return 1;
-}
-
-/* Compare discs of n poses with the field (R6, docs/theory/search.md).
- *
- *   n, discs, tiles   numbers of poses, of discs and of tiles along a side
- *   spacing, x, y     see `Field`
- *   poses             (n, 3); turned: (n, 2), cosine and sine of the headings
- *   required          (n,) [m]
- *   circles           (4, discs): x, y, radius that covers, radius inside [m]
- *   slots, values     see `Field`
- *   states            out, (n,): 1 if the discs prove the clearance, 2 if they exclude it, 4 if outside the field, added
- *   missing           out, (tiles * tiles,): tiles that must be computed first
- *
- * Return the number of missing tiles; unless it is 0, the states are not valid. */
-int64_t optdock_disc_states(int64_t n, int64_t discs, int64_t tiles, double spacing, double x, double y,
-                            const double *poses, const double *turned, const double *required, const double *circles,
-                            int64_t *slots, const double *values, int64_t *states, int64_t *missing)
-{
-    Field field = {tiles, spacing, x, y, slots, values};
-    int64_t count = 0;
-    for (int64_t i = 0; i < n; i++) {
-        double c = turned[2 * i], s = turned[2 * i + 1], lowest = INFINITY, highest = INFINITY;
-        for (int64_t d = 0; d < discs; d++) {
-            double cx = circles[d], cy = circles[discs + d];
-            double px = poses[3 * i] + c * cx - s * cy, py = poses[3 * i + 1] + s * cx + c * cy;
-            Bounds bounds;
-            if (!bounds_at(&field, px, py, missing, &count, &bounds))
-                continue;
-            lowest = smaller(lowest, bounds.lower - circles[2 * discs + d]);
-            highest = smaller(highest, bounds.upper - circles[3 * discs + d]);
-        }
-        states[i] = (lowest >= required[i]) + 2 * (highest < required[i]) + 4 * (lowest == -INFINITY);
-    }
-    return count;
 }

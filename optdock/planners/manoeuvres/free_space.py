@@ -13,18 +13,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.kernels import Kernel, twin_of
+from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, Wavefront, disc_states
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
-from optdock.verification.proximity import bounded_footprint
+from optdock.verification.compiled_clearances import packed_footprint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import TypeAlias
 
-    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
-    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.separation import ConvexBody
     from optdock.model.problem import DockingProblem
+
+    KernelArrays: TypeAlias = tuple[tuple[FloatArray | IntArray, int], ...]
 
 __all__ = ["Effort", "FreeSpace"]
 
@@ -34,6 +37,8 @@ _POINTS, _SIDE = 2048, 128.0
 _POSES_PER_WIDTH = 12, 24  # least and most poses of a collision check per width of the robot
 _FINE_DISCS = 4  # across the width of the footprint
 _EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
+_AT_ONCE = 500  # poses per call of a kernel, at most a millisecond
+_MARGIN_SLOPE = 0.25  # at which the margin grows from both ends
 
 
 class Effort(NamedTuple):
@@ -72,39 +77,6 @@ def _discs_of(body: ConvexBody, across: int) -> Discs:
     return Discs(centres[kept], np.full(np.count_nonzero(kept), cover), inside[kept])
 
 
-_KERNEL = Kernel("optdock_pose_clearances", sizes=5, numbers=1)
-
-
-def _clearances_native(poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float) -> FloatArray:
-    reach = footprint.circumscribed_radius + within
-    near = obstacles.in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-    n, (m, k, _), yaw = len(poses), near.vertices.shape, poses[:, 2]
-    clearances, turned = np.full(n, within), np.stack((np.cos(yaw), np.sin(yaw)), axis=-1)
-    for one in bounded_footprint(footprint):
-        v, circles = len(one.body.vertices), len(one.centres)
-        size = 2 * (v + k + circles)
-        arrays = (
-            (np.concatenate([part.ravel() for part in (*one.body, one.centres)]), 5 * v + 2 * circles),
-            (np.ascontiguousarray(poses), 3 * n),
-            (turned, 2 * n),
-            (near.vertices, 2 * m * k),
-            (near.normals, 2 * m * k),
-            (near.offsets, m * k),
-            (near.lower, 2 * m),
-            (near.upper, 2 * m),
-            (clearances, n),
-            (np.empty(size), size),
-        )
-        _KERNEL((n, m, v, k, circles), (one.radius,), arrays)
-    return clearances
-
-
-@twin_of(_clearances_native)
-def _clearances(poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float) -> FloatArray:
-    """Return the clearances of poses, Shape (n, 3), at most `within` [m], regardless of unions. Shape (n,) [m]."""
-    return pose_clearances(poses, footprint, obstacles, within, checks_unions=False)[0]
-
-
 class FreeSpace:
     """Test whether poses have the clearance that a problem requires, plus a margin.
 
@@ -123,9 +95,10 @@ class FreeSpace:
         self._reach = self.footprint.circumscribed_radius + problem.path_clearance.required
         self.width = min(self.footprint.width, self.footprint.length)
         side = max(_SIDE * self.width, 2.0 * float(np.abs(self._goal - self._start).max()))
+        self._kernel_arrays: dict[tuple[float, float], KernelArrays] = {}
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
-        self._levels = [_discs(self.footprint.bodies, across) for across in (1, _FINE_DISCS)]
+        self.levels = [_discs(self.footprint.bodies, across) for across in (1, _FINE_DISCS)]
 
     def spacing(self, effort: Effort) -> float:
         """Return the spacing [m] between the poses of a collision check."""
@@ -149,8 +122,8 @@ class FreeSpace:
         )
         if margin <= 0.0:
             return rule
-        at_start = max(self._start_clearance, 0.0) + 0.25 * from_start
-        at_goal = max(self._goal_clearance, 0.0) + 0.25 * from_goal
+        at_start = max(self._start_clearance, 0.0) + _MARGIN_SLOPE * from_start
+        at_goal = max(self._goal_clearance, 0.0) + _MARGIN_SLOPE * from_goal
         kept: FloatArray = np.maximum(rule, np.minimum(rule + margin, np.minimum(at_start, at_goal)))
         return kept
 
@@ -158,24 +131,96 @@ class FreeSpace:
         """Whether no disc inside the footprint overlaps an obstacle, a fast necessary condition. Shape (n,)."""
         if len(self.obstacles) == 0:
             return np.ones(len(poses), dtype=np.bool_)
-        return ~disc_states(self.field, self._levels[0], poses, np.zeros(len(poses))).blocked
+        return ~disc_states(self.field, self.levels[0], poses, np.zeros(len(poses))).blocked
 
     def is_free(self, poses: FloatArray, margin: float = 0.0, start_relief: float = 0.0) -> BoolArray:
         """Whether poses, Shape (n, 3), have the required clearance plus the margin [m]. Shape (n,)."""
         if len(self.obstacles) == 0 or len(poses) == 0:
             return np.ones(len(poses), dtype=np.bool_)
-        required = self.required(poses, margin, start_relief) - TOLERANCE
-        free = np.zeros(len(poses), dtype=np.bool_)
-        open_rows = np.arange(len(poses))
-        for discs in self._levels:
-            states = disc_states(self.field, discs, poses[open_rows], required[open_rows])
-            free[open_rows[states.covered]] = True
-            open_rows = open_rows[~(states.covered | states.blocked | states.outside)]
-            if open_rows.size == 0:
-                return free
-        for k in range(0, open_rows.size, _EXACT_BLOCK):
+        return _are_free(self, poses, margin, start_relief)
+
+    def check(
+        self,
+        kernel: Kernel,
+        sizes: tuple[int, ...],
+        numbers: tuple[float, ...],
+        arrays: KernelArrays,
+        limits: tuple[float, float],
+    ) -> None:
+        """Call a kernel that checks as many poses as possible until it has done all of its sizes[0] items.
+
+        `limits`: margin and start relief. The kernel gets a limit of poses per call as its last size, and `progress`
+        and the arrays of the free space after its own arrays.
+        """
+        progress = np.zeros(2, dtype=np.int64)
+        packed = self._packed(*limits)
+        while progress[0] < sizes[0]:
             self.poll()
-            some = open_rows[k : k + _EXACT_BLOCK]
-            within = float(required[some].max()) + 1e-6
-            free[some] = _clearances(poses[some], self.footprint, self.obstacles, within) >= required[some]
-        return free
+            slots, values, missing = self.field.memory
+            memory = (slots, slots.size), (values, values.size), (missing, missing.size)
+            kernel((*sizes, _AT_ONCE), numbers, (*arrays, (progress, 2), *packed, *memory, *self._room))
+            if progress[1]:
+                self.field.compute(missing[: progress[1]])
+
+    def _packed(self, margin: float, start_relief: float) -> KernelArrays:
+        """Return the arrays from `sizes` to `high` of the kernels; see `SPACE_PARAMETERS` in C."""
+        key = margin, start_relief
+        if key not in self._kernel_arrays:
+            rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.obstacles
+            (m, k, _), bodies = rocks.vertices.shape, len(robot.sizes)
+            tiles, discs = self.field.tiles, [level.cover.size for level in self.levels]
+            sizes = np.array((tiles, *discs, bodies, m, k, robot.corners, robot.circles))
+            least = rule.least_leaving(self._start_clearance, start_relief)
+            at_start = np.nan if rule.at_start is None else rule.at_start
+            numbers = np.array(
+                (
+                    *(self.field.spacing, *self.field.origin),
+                    *(rule.required, rule.at_dock, rule.taper, rule.dock_run),
+                    *(least, START_RELIEF_SLOPE, start_relief, at_start, *self._start, *self._goal),
+                    *(margin, max(self._start_clearance, 0.0), max(self._goal_clearance, 0.0), _MARGIN_SLOPE),
+                    *(TOLERANCE, self.footprint.circumscribed_radius),
+                )
+            )
+            circles = np.concatenate([np.ravel((*one.centres.T, *one[1:])) for one in self.levels])
+            parts = sizes, numbers, circles, robot.sizes, robot.numbers
+            outlines = rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper
+            self._kernel_arrays[key] = tuple((part, part.size) for part in (*parts, *outlines))
+        return self._kernel_arrays[key]
+
+    @functools.cached_property
+    def _room(self) -> KernelArrays:
+        """Work arrays of the kernels."""
+        robot, (m, k, _) = packed_footprint(self.footprint), self.obstacles.vertices.shape
+        size = 2 * (robot.corners + k + robot.circles)
+        return (np.empty(m, dtype=np.int64), m), (np.empty(size), size)
+
+
+_POSES_KERNEL = Kernel("optdock_are_free", sizes=2, numbers=0)
+
+
+def _are_free_native(space: FreeSpace, poses: FloatArray, margin: float, start_relief: float) -> BoolArray:
+    n = len(poses)
+    free = np.empty(n, dtype=np.int64)
+    arrays = (np.ascontiguousarray(poses), 3 * n), (free, n)
+    space.check(_POSES_KERNEL, (n,), (), arrays, (margin, start_relief))
+    return free.astype(np.bool_)
+
+
+@twin_of(_are_free_native)
+def _are_free(space: FreeSpace, poses: FloatArray, margin: float, start_relief: float) -> BoolArray:
+    required = space.required(poses, margin, start_relief) - TOLERANCE
+    free = np.zeros(len(poses), dtype=np.bool_)
+    open_rows = np.arange(len(poses))
+    for discs in space.levels:
+        states = disc_states(space.field, discs, poses[open_rows], required[open_rows])
+        free[open_rows[states.covered]] = True
+        open_rows = open_rows[~(states.covered | states.blocked | states.outside)]
+        if open_rows.size == 0:
+            return free
+    for k in range(0, open_rows.size, _EXACT_BLOCK):
+        space.poll()
+        some = open_rows[k : k + _EXACT_BLOCK]
+        within = float(required[some].max()) + 1e-6
+        exact, _ = pose_clearances(poses[some], space.footprint, space.obstacles, within, checks_unions=False)
+        free[some] = exact >= required[some]
+    return free

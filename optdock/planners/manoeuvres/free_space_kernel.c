@@ -1,4 +1,6 @@
-/* Clearances of poses for the search: the function `_clearances` of `free_space.py` in C.
+/* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
+ * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, `_free_lengths` and `are_free`
+ * of `arcs.py`, and `disc_states` of `distance_field.py`.
  *
  * The signed distance of convex polygons is the largest gap over the edge normals of both and the direction between the
  * nearest vertices, as in `geometry/separation.py`. Only guesses depend on this file; the certificate has code of its
@@ -7,19 +9,13 @@
 #include <math.h>
 #include <stdint.h>
 
+#define TILE 32 /* grid points along the side of a tile */
+
 /* A polygon in the world: corners and outward normals (count, 2), offsets (count,). */
 typedef struct {
     int64_t count;
     const double *corners, *normals, *offsets;
 } Polygon;
-
-/* A body in its own frame and its circles: centres (circles, 2), and their radius [m]. */
-typedef struct {
-    Polygon outline;
-    int64_t circles;
-    const double *centres;
-    double radius;
-} Body;
 
 typedef struct {
     double x, y, c, s; /* position [m], cosine and sine of the heading */
@@ -97,41 +93,351 @@ static double broad_gap(int64_t circles, const double *centres, double radius, c
     return sqrt(nearest) - radius;
 }
 
-/* Compute the clearances of one body at n poses, as far as they are below those known so far.
- *
- *   n, m, v, k, circles   numbers of poses, obstacles, corners of the body and of an obstacle, and circles
- *   radius                of the circles [m]
- *   body                  vertices, normals (v, 2), offsets (v,), centres (circles, 2)
- *   poses                 (n, 3); turned: (n, 2), cosine and sine of the headings
- *   vertices, normals     (m, k, 2); offsets: (m, k); low, high: (m, 2), bounding boxes of the obstacles
- *   clearances            in and out, (n,) [m]
- *   work                  2 (v + k + circles) numbers */
-int64_t optdock_pose_clearances(int64_t n, int64_t m, int64_t v, int64_t k, int64_t circles, double radius,
-                                const double *body, const double *poses, const double *turned, const double *vertices,
-                                const double *normals, const double *offsets, const double *low, const double *high,
-                                double *clearances, double *work)
+/* Points of a body, (count, 2), at a pose; out: placed, (count, 2). */
+static void place(Pose at, int64_t count, const double *points, double *placed)
 {
-    Body moving = {{v, body, body + 2 * v, body + 4 * v}, circles, body + 5 * v, radius};
-    double *corners = work, *local = work + 2 * v, *centres = local + 2 * k;
+    for (int64_t i = 0; i < count; i++) {
+        double x = points[2 * i], y = points[2 * i + 1];
+        placed[2 * i] = at.x + (at.c * x - at.s * y);
+        placed[2 * i + 1] = at.y + (at.s * x + at.c * y);
+    }
+}
+
+/* The grid: number of tiles along a side, spacing and first point [m], index of the values of every tile. */
+typedef struct {
+    int64_t tiles;
+    double spacing, x, y;
+    int64_t *slots;       /* (tiles, tiles); -1: not computed yet, -2: in the list of missing tiles */
+    const double *values; /* (computed tiles, TILE, TILE) [m] */
+} Field;
+
+/* Bounds of the distance of a point [m]; the lower bound is -inf outside the field. */
+typedef struct {
+    double lower, upper;
+} Bounds;
+
+/* A cell of the grid; NaN becomes 0. */
+static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
+
+/* Return 0 if the tile of the point is missing, and append it to the list unless it is there already. */
+static int bounds_at(const Field *field, double px, double py, int64_t *missing, int64_t *count, Bounds *bounds)
+{
+    double last = (double)(TILE * field->tiles - 1);
+    double u = (px - field->x) / field->spacing, v = (py - field->y) / field->spacing;
+    double column = rint(u), row = rint(v);
+    int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
+    int64_t i = (int64_t)clamped(column, last), j = (int64_t)clamped(row, last);
+    int64_t tile = i / TILE * field->tiles + j / TILE, slot = field->slots[tile];
+    if (slot < 0) {
+        if (slot == -1)
+            missing[(*count)++] = tile;
+        field->slots[tile] = -2;
+        return 0;
+    }
+    double distance = field->values[TILE * TILE * slot + TILE * (i % TILE) + j % TILE];
+    double du = u - column, dv = v - row, away = field->spacing * sqrt(du * du + dv * dv);
+    *bounds = (Bounds){is_inside ? distance - away : -INFINITY, distance + away};
+    return 1;
+}
+
+/* State of a pose: 1 if the discs prove the clearance, 2 if they exclude it, 4 if one is outside the field, added; not
+ * valid if tiles are missing. */
+static int disc_state(const Field *field, Pose at, double required, int64_t discs, const double *circles,
+                      int64_t *missing, int64_t *count)
+{
+    double lowest = INFINITY, highest = INFINITY;
+    for (int64_t d = 0; d < discs; d++) {
+        double cx = circles[d], cy = circles[discs + d];
+        Bounds bounds;
+        if (!bounds_at(field, at.x + at.c * cx - at.s * cy, at.y + at.s * cx + at.c * cy, missing, count, &bounds))
+            continue;
+        lowest = smaller(lowest, bounds.lower - circles[2 * discs + d]);
+        highest = smaller(highest, bounds.upper - circles[3 * discs + d]);
+    }
+    return (lowest >= required) + 2 * (highest < required) + 4 * (lowest == -INFINITY);
+}
+
+/* Compare discs of n poses with the field (R6, docs/theory/search.md).
+ *
+ *   n, discs, tiles   numbers of poses, of discs and of tiles along a side
+ *   spacing, x, y     see `Field`
+ *   poses             (n, 3); turned: (n, 2), cosine and sine of the headings
+ *   required          (n,) [m]
+ *   circles           (4, discs): x, y, radius that covers, radius inside [m]
+ *   slots, values     see `Field`
+ *   states            out, (n,): 1 if the discs prove the clearance, 2 if they exclude it, 4 if outside the field, added
+ *   missing           out, (tiles * tiles,): tiles that must be computed first
+ *
+ * Return the number of missing tiles; unless it is 0, the states are not valid. */
+int64_t optdock_disc_states(int64_t n, int64_t discs, int64_t tiles, double spacing, double x, double y,
+                            const double *poses, const double *turned, const double *required, const double *circles,
+                            int64_t *slots, const double *values, int64_t *states, int64_t *missing)
+{
+    Field field = {tiles, spacing, x, y, slots, values};
+    int64_t count = 0;
     for (int64_t i = 0; i < n; i++) {
         Pose at = {poses[3 * i], poses[3 * i + 1], turned[2 * i], turned[2 * i + 1]};
-        for (int64_t j = 0; j < circles; j++) {
-            double x = moving.centres[2 * j], y = moving.centres[2 * j + 1];
-            centres[2 * j] = at.x + at.c * x - at.s * y;
-            centres[2 * j + 1] = at.y + at.s * x + at.c * y;
-        }
-        for (int64_t j = 0; j < v; j++) {
-            double x = moving.outline.corners[2 * j], y = moving.outline.corners[2 * j + 1];
-            corners[2 * j] = at.x + (at.c * x - at.s * y);
-            corners[2 * j + 1] = at.y + (at.s * x + at.c * y);
-        }
-        for (int64_t o = 0; o < m; o++) {
-            double apart = broad_gap(circles, centres, radius, low + 2 * o, high + 2 * o);
-            if (apart >= clearances[i] && apart > 0.0)
-                continue;
-            Polygon piece = {k, vertices + 2 * k * o, normals + 2 * k * o, offsets + k * o};
-            clearances[i] = smaller(clearances[i], signed_distance(moving.outline, at, corners, piece, local));
-        }
+        states[i] = disc_state(&field, at, required[i], discs, circles, missing, &count);
     }
+    return count;
+}
+
+/* The free space. */
+typedef struct {
+    Field field;
+    int64_t *missing, missing_count;
+    int64_t discs[2];         /* numbers of coarse and of fine discs */
+    const double *circles[2]; /* (4, discs) each, see `optdock_disc_states` */
+    int64_t bodies, m, k;     /* bodies, obstacles, corners of an obstacle */
+    const int64_t *body_sizes; /* (bodies, 2), corners and circles */
+    const double *body_numbers; /* radius, reach, vertices, normals, offsets and centres of each */
+    const double *vertices, *normals, *offsets, *low, *high;
+    int64_t *near, near_count; /* rows of the obstacles near the poses in the box; -1: not collected yet */
+    double box[4];             /* least x and y, largest x and y of the poses */
+    const double *rule;        /* see `required_at` */
+    double *work;              /* 2 (corners + k + circles) numbers */
+} Space;
+
+/* Arguments of all checks of poses:
+ *
+ *   sizes     (8,): tiles, coarse discs, fine discs, bodies, obstacles, corners of an obstacle, and the largest numbers
+ *             of corners and of circles of a body
+ *   numbers   (21,): spacing and first point of the field [m], then see `required_at`
+ *   circles   (4 coarse discs + 4 fine discs,)
+ *   body_sizes, body_numbers, vertices ... high, slots, values: see `Space` and `Field`
+ *   missing   out, (tiles tiles,): tiles that must be computed first
+ *   near      work, (obstacles,); work: 2 (corners + corners of an obstacle + circles) numbers */
+#define SPACE_PARAMETERS                                                                                               \
+    const int64_t *sizes, const double *numbers, const double *circles, const int64_t *body_sizes,                     \
+        const double *body_numbers, const double *vertices, const double *normals, const double *offsets,              \
+        const double *low, const double *high, int64_t *slots, const double *values, int64_t *missing, int64_t *near,  \
+        double *work
+#define SPACE                                                                                                          \
+    (Space)                                                                                                            \
+    {                                                                                                                  \
+        {sizes[0], numbers[0], numbers[1], numbers[2], slots, values}, missing, 0, {sizes[1], sizes[2]},               \
+            {circles, circles + 4 * sizes[1]}, sizes[3], sizes[4], sizes[5], body_sizes, body_numbers, vertices,       \
+            normals, offsets, low, high, near, -1, {0.0, 0.0, 0.0, 0.0}, numbers + 3, work                                                    \
+    }
+
+/* Distance [m] from an end of the taper. */
+static double tapered(const double *rule, double distance, double least)
+{
+    double beyond = larger(distance - rule[3], 0.0);
+    double share = rule[2] > 0.0 ? smaller(beyond, rule[2]) / rule[2] : beyond > 0.0 ? 1.0 : 0.0;
+    return least + (rule[0] - least) * share;
+}
+
+/* The required clearance at a position, as `FreeSpace.required`, less the tolerance. rule: required, at_dock, taper,
+ * dock_run, least clearance of the start, slope, start_relief, at_start (NaN: none), x and y of start and goal, margin,
+ * clearances of start and goal if positive, slope of the margin, tolerance, reach of the footprint. */
+static double required_at(const double *rule, double x, double y)
+{
+    double from_start = hypot(x - rule[8], y - rule[9]), from_goal = hypot(x - rule[10], y - rule[11]);
+    double leaving = rule[4] + rule[5] * larger(0.0, from_start - rule[6]);
+    if (rule[6] > 0.0 && rule[7] == rule[7])
+        leaving = smaller(leaving, tapered(rule, from_start, rule[7]));
+    double kept = smaller(tapered(rule, from_goal, rule[1]), leaving);
+    if (rule[12] > 0.0) {
+        double ends = smaller(rule[13] + rule[15] * from_start, rule[14] + rule[15] * from_goal);
+        kept = larger(kept, smaller(kept + rule[12], ends));
+    }
+    return kept - rule[16];
+}
+
+static void set_box(Space *space, double x0, double y0, double x1, double y1)
+{
+    space->near_count = -1;
+    space->box[0] = x0;
+    space->box[1] = y0;
+    space->box[2] = x1;
+    space->box[3] = y1;
+}
+
+/* Collect the obstacles that may be nearer than required to a footprint at a pose in the box. */
+static void find_near(Space *space)
+{
+    double reach = space->rule[17] + space->rule[0] + larger(space->rule[12], 0.0) + 1e-3;
+    const double *box = space->box;
+    space->near_count = 0;
+    for (int64_t o = 0; o < space->m; o++) {
+        const double *low = space->low + 2 * o, *high = space->high + 2 * o;
+        if (low[0] <= box[2] + reach && high[0] >= box[0] - reach && low[1] <= box[3] + reach &&
+            high[1] >= box[1] - reach)
+            space->near[space->near_count++] = o;
+    }
+}
+
+/* Whether the exact clearance at a pose is at least the required one. */
+static int is_clear(Space *space, Pose at, double required)
+{
+    const double *numbers = space->body_numbers;
+    if (space->near_count < 0)
+        find_near(space);
+    for (int64_t b = 0; b < space->bodies; b++) {
+        int64_t v = space->body_sizes[2 * b], circles = space->body_sizes[2 * b + 1];
+        const double *body = numbers + 2, *centres = body + 5 * v;
+        Polygon outline = {v, body, body + 2 * v, body + 4 * v};
+        double *corners = space->work, *local = corners + 2 * v, *placed = local + 2 * space->k;
+        place(at, circles, centres, placed);
+        place(at, v, body, corners);
+        for (int64_t i = 0; i < space->near_count; i++) {
+            int64_t o = space->near[i], first = space->k * o;
+            double apart = broad_gap(circles, placed, numbers[0], space->low + 2 * o, space->high + 2 * o);
+            if (apart >= required && apart > 0.0)
+                continue;
+            Polygon piece = {space->k, space->vertices + 2 * first, space->normals + 2 * first, space->offsets + first};
+            if (signed_distance(outline, at, corners, piece, local) < required)
+                return 0;
+        }
+        numbers += 2 + 5 * v + 2 * circles;
+    }
+    return 1;
+}
+
+/* Whether a pose is free: 1 or 0, or -1 if tiles are missing. */
+static int is_free(Space *space, double x, double y, double yaw)
+{
+    Pose at = {x, y, cos(yaw), sin(yaw)};
+    double required = required_at(space->rule, x, y);
+    for (int level = 0; level < 2; level++) {
+        int64_t before = space->missing_count;
+        int state = disc_state(&space->field, at, required, space->discs[level], space->circles[level], space->missing,
+                               &space->missing_count);
+        if (space->missing_count > before)
+            return -1;
+        if (state & 1)
+            return 1;
+        if (state)
+            return 0;
+    }
+    return is_clear(space, at, required);
+}
+
+/* The pose at the end of an arc, as `advance` of `arcs.py`. */
+static void advance(const double *from, double length, double curvature, double *to)
+{
+    const double pi = 3.14159265358979323846;
+    double turn = length * curvature, share = turn / (2.0 * pi);
+    double angle = pi * (share == 0.0 ? 1e-20 : share), chord = length * (sin(angle) / angle);
+    double middle = from[2] + 0.5 * turn, x = from[0] + chord * cos(middle), y = from[1] + chord * sin(middle);
+    to[0] = x;
+    to[1] = y;
+    to[2] = from[2] + turn;
+}
+
+static int is_free_after(Space *space, const double *from, double length, double curvature)
+{
+    double pose[3];
+    advance(from, length, curvature, pose);
+    return is_free(space, pose[0], pose[1], pose[2]);
+}
+
+/* Whether poses are free, those from `done` on.
+ *
+ *   n, most   number of poses; most of them that are checked in this call
+ *   poses     (n, 3); free: out, (n,), 1 or 0
+ *   progress  in and out, (2,): poses done, missing tiles */
+int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *free, int64_t *progress,
+                         SPACE_PARAMETERS)
+{
+    Space space = SPACE;
+    double x0 = INFINITY, y0 = INFINITY, x1 = -INFINITY, y1 = -INFINITY;
+    int64_t i, end = progress[0] + most < n ? progress[0] + most : n;
+    for (i = progress[0]; i < end; i++) {
+        x0 = smaller(x0, poses[3 * i]);
+        x1 = larger(x1, poses[3 * i]);
+        y0 = smaller(y0, poses[3 * i + 1]);
+        y1 = larger(y1, poses[3 * i + 1]);
+    }
+    set_box(&space, x0, y0, x1, y1);
+    for (i = progress[0]; i < end && space.missing_count == 0; i++) {
+        int found = is_free(&space, poses[3 * i], poses[3 * i + 1], poses[3 * i + 2]);
+        if (found < 0)
+            break;
+        free[i] = found;
+    }
+    progress[0] = i;
+    progress[1] = space.missing_count;
+    return 0;
+}
+
+/* Collision-free lengths of arcs, those from `done` on; see `_free_lengths` of `arcs.py`.
+ *
+ *   n, count, bisections, most   numbers of arcs, of steps, of bisections, and of poses after which the call ends
+ *   starts          (n, 3); signs, curvatures: (n,); steps: (count,), ascending lengths [m]
+ *   lengths         out, (n,) [m]
+ *   progress        in and out, (2,): arcs done, missing tiles */
+int64_t optdock_free_lengths(int64_t n, int64_t count, int64_t bisections, int64_t most, const double *starts,
+                             const double *signs, const double *curvatures, const double *steps, double *lengths,
+                             int64_t *progress, SPACE_PARAMETERS)
+{
+    Space space = SPACE;
+    int64_t i, checked = 0;
+    double longest = steps[count - 1];
+    for (i = progress[0]; i < n && checked < most; i++) {
+        const double *from = starts + 3 * i;
+        double free = 0.0, blocked = 0.0;
+        int found = 1;
+        set_box(&space, from[0] - longest, from[1] - longest, from[0] + longest, from[1] + longest);
+        for (int64_t j = 0; j < count && found == 1; j++, checked++) {
+            found = is_free_after(&space, from, signs[i] * steps[j], curvatures[i]);
+            if (found == 1)
+                free = steps[j];
+            else
+                blocked = steps[j];
+        }
+        for (int64_t j = 0; j < bisections && found == 0; j++, checked++) {
+            double middle = 0.5 * (free + blocked);
+            int at_middle = is_free_after(&space, from, signs[i] * middle, curvatures[i]);
+            if (at_middle < 0)
+                found = -1;
+            else if (at_middle)
+                free = middle;
+            else
+                blocked = middle;
+        }
+        if (found < 0)
+            break;
+        lengths[i] = free;
+    }
+    progress[0] = i;
+    progress[1] = space.missing_count;
+    return 0;
+}
+
+/* Whether sequences of arcs are free at poses at most `spacing` apart and at all joints, those from `done` on.
+ *
+ *   n, count, most  numbers of sequences and of arcs of each, and of poses after which the call ends
+ *   spacing         [m]
+ *   starts          (n, 3); lengths, curvatures: (n, count); free: out, (n,), 1 or 0
+ *   progress        in and out, (2,): sequences done, missing tiles */
+int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double spacing, const double *starts,
+                               const double *lengths, const double *curvatures, int64_t *free, int64_t *progress,
+                               SPACE_PARAMETERS)
+{
+    Space space = SPACE;
+    int64_t i, checked = 0;
+    for (i = progress[0]; i < n && checked < most; i++) {
+        double joint[3] = {starts[3 * i], starts[3 * i + 1], starts[3 * i + 2]}, whole = 0.0;
+        int found = 1;
+        for (int64_t j = 0; j < count; j++)
+            whole += fabs(lengths[count * i + j]);
+        set_box(&space, joint[0] - whole, joint[1] - whole, joint[0] + whole, joint[1] + whole);
+        for (int64_t j = 0; j < count && found == 1; j++) {
+            double length = lengths[count * i + j], curvature = curvatures[count * i + j];
+            double parts = fabs(length) > 1e-9 ? ceil(fabs(length) / spacing - 1e-9) : 0.0;
+            for (double rank = 0.0; rank < parts && found == 1; rank += 1.0, checked++)
+                found = is_free_after(&space, joint, length * rank / parts, curvature);
+            advance(joint, length, curvature, joint);
+        }
+        if (found == 1)
+            found = is_free(&space, joint[0], joint[1], joint[2]);
+        if (found < 0)
+            break;
+        free[i] = found;
+    }
+    progress[0] = i;
+    progress[1] = space.missing_count;
     return 0;
 }

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.planners.manoeuvres.arcs import Arcs, joined
+from optdock.planners.manoeuvres.arcs import Arcs, are_free, joined
 from optdock.planners.manoeuvres.connections import cheapest_words, end_gears, is_wholly_free
 from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
 
@@ -170,10 +170,9 @@ class _LazySearch:
         self._space.poll()
         sources, spacing = self._poses[self._edges.sources[edges]], self._space.spacing(self._effort)
         words = Arcs(sources, self._edges.lengths[edges], self._edges.curvatures[edges])
-        blocks = [words.rows(slice(k, k + 1)).poses_every(spacing) for k in range(len(edges))]
-        free = self._space.is_free(np.concatenate(blocks), self._effort.margin, self._effort.start_relief)
-        begins = np.cumsum([0, *(len(block) for block in blocks[:-1])])
-        found: list[bool] = np.logical_and.reduceat(free, begins).tolist()
+        found: list[bool] = are_free(
+            words, spacing, self._space, (self._effort.margin, self._effort.start_relief)
+        ).tolist()
         return found
 
     def _way(self, vertex: int, labels: dict[int, _Label]) -> Arcs:

@@ -7,9 +7,17 @@ import pytest
 
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.pose import Pose2
 from optdock.kernels import using_kernels
-from optdock.planners.manoeuvres import distance_field, free_space
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planners.manoeuvres import arcs, distance_field
+from optdock.planners.manoeuvres.arcs import Arcs, are_free
 from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, disc_states
+from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -77,21 +85,92 @@ def test_a_poll_that_raises_leaves_the_missing_tiles_missing():
     assert np.array_equal(states.blocked, again.blocked)
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("corners", [4, 6, 40])
-def test_clearances_of_both_lanes_are_equal(seed, corners):
-    """To the last bit, but for bodies and obstacles with many corners, of which the twin skips edges."""
-    angles = 2.0 * np.pi * np.arange(corners) / corners + 0.1
-    footprint = Footprint(np.column_stack((0.5 * np.cos(angles), 0.4 * np.sin(angles))))
-    drum = 0.3 * np.column_stack((np.cos(angles), np.sin(angles))) + [0.4, 0.3]
-    obstacles = rocks(seed) + ObstacleSet.from_polygons([drum])
+ANGLES = 2.0 * np.pi * np.arange(40) / 40 + 0.1
+BODIES = {
+    "convex": Footprint.rectangle(0.45, 0.25, 0.6),
+    "two pieces": Footprint([[0.5, 0.3], [-0.2, 0.3], [-0.2, 0.1], [0.3, 0.1], [0.3, -0.3], [0.5, -0.3]]),
+    "drum": Footprint(np.column_stack((0.5 * np.cos(ANGLES), 0.4 * np.sin(ANGLES)))),
+    "triangle": Footprint([[0.6, 0.0], [-0.1, 0.1], [-0.1, -0.1]]),
+}
+EFFORTS = [Effort(0.8, 0.0, 12, 100), Effort(0.8, 0.03, 24, 100), Effort(0.8, 0.0, 24, 100, 0.5)]
+
+
+def space_among(obstacles, body, rule=None, poll=lambda: None):
+    """The free space from a start near the obstacles to a dock among them."""
+    robot = Robot(BODIES[body], MotionLimits())
+    rule = rule or ClearanceRule(0.08, 0.0, 0.4, 0.1, at_start=0.03)
+    return FreeSpace(DockingProblem(Pose2(-1.0, 0.3, 0.4), Dock(Pose2(1.0, 0.2, 0.0)), robot, obstacles, rule), poll)
+
+
+def both_lanes(run):
     found = []
     for lane in LANES:
         with using_kernels(lane):
-            found.append(free_space._clearances(poses_around(seed), footprint, obstacles, 0.4))
-    assert 0.05 < np.mean(found[0] < 0.0) < 0.95
-    assert np.any(found[0] == 0.4)
-    assert np.abs(found[0] - found[1]).max() <= (0.0 if corners < 40 else 1e-14)
+            found.append(run())
+    return found
+
+
+def words_from(seed, count=30):
+    draw = np.random.default_rng(seed)
+    lengths = draw.uniform(-0.2, 0.2, (count, 5)) * draw.choice([0.0, 1e-12, 1.0, 1.0], (count, 5))
+    return Arcs(poses_around(seed, count), lengths, draw.choice([0.0, 1.25, -1.25], (count, 5)))
+
+
+@pytest.mark.parametrize("effort", EFFORTS, ids=["strict", "margin", "relief"])
+@pytest.mark.parametrize("body", BODIES)
+def test_free_poses_arcs_and_sequences_of_both_lanes_are_equal(body, effort):
+    limits, words = (effort.margin, effort.start_relief), words_from(1)
+    starts = poses_around(9, 48), np.tile([1.0, -1.0], 24), np.repeat([0.0, 1.25, -1.25], 16)
+    found = []
+    for lane in LANES:
+        space = space_among(rocks(1), body)
+        with using_kernels(lane):
+            poses, lengths = space.is_free(poses_around(1), *limits), arcs._free_lengths(starts, 0.4, space, effort)
+            found.append((poses, lengths, are_free(words, 0.05, space, limits)))
+    for twin, native in zip(*found, strict=True):
+        assert twin.dtype == native.dtype
+        assert np.array_equal(twin, native)
+    assert 0.02 < found[0][0].mean() < 0.98
+    assert 0 < np.count_nonzero(found[0][1] == 0.4) < 48
+    assert np.any((found[0][1] > 0.0) & (found[0][1] < 0.4))
+    assert 0 < found[0][2].sum() < 30
+
+
+def test_without_obstacles_everything_is_free():
+    starts = poses_around(0, 4), np.ones(4), np.zeros(4)
+    space = space_among(ObstacleSet.empty(), "convex")
+    space.obstacles = ObstacleSet.empty()  # also without the station
+    lengths, wholes = (
+        both_lanes(run)
+        for run in (
+            lambda: arcs._free_lengths(starts, 1.3, space, EFFORTS[0]),
+            lambda: are_free(words_from(0), 0.02, space, (0.0, 0.0)),
+        )
+    )
+    assert all((found == 1.3).all() for found in lengths)
+    assert all(found.all() for found in wholes)
+
+
+def test_the_deadline_is_polled_during_long_checks():
+    class Stopped(Exception):
+        pass
+
+    def poll():
+        polled.append(1)
+        if len(polled) > most:
+            raise Stopped
+
+    polled, most = [], 10**6
+    space = space_among(rocks(2), "convex", poll=poll)
+    with using_kernels("native"):
+        space.is_free(poses_around(2, 5000))  # the first call of a process also runs the twin; all tiles are there now
+        polled.clear()
+        space.is_free(poses_around(2, 5000))
+        assert len(polled) == 10
+        polled.clear()
+        most = 4
+        with pytest.raises(Stopped):
+            space.is_free(poses_around(2, 5000))
 
 
 def test_tiles_hold_distances_up_to_their_reach():
