@@ -8,6 +8,7 @@ Code in C would save less than a hundredth of a call, so none is generated.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from optdock.geometry.checked import instance
 from smoothers.terms import SYMBOLS, HardTerm, PathTerm, SoftTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     import casadi
 
@@ -78,8 +79,8 @@ def term_set(terms: Iterable[PathTerm]) -> TermSet | None:
     Raises:
         InvalidValue: If there is anything else than hard and soft terms, or two terms have the same name.
     """
-    if isinstance(terms, PathTerm):
-        raise InvalidValue(f"terms: must be a list of terms, got the term {terms.name!r}; write terms=[...]")
+    if isinstance(terms, PathTerm) or not isinstance(terms, Iterable):
+        raise InvalidValue(f"terms: must be a list of terms, got {terms!r}; write terms=[...]")
     known: dict[str, PathTerm] = {}
     for i, term in enumerate(terms):
         name = instance(PathTerm, term, f"terms[{i}]").name
