@@ -55,19 +55,22 @@ class TermSet:
         slopes[~np.isfinite(slopes)] = 0.0
         return values, slopes
 
-    @property
+    @cached_property
     def weights(self) -> FloatArray:
         """Weights of the soft terms [1/m]."""
         return np.array([term.weight for term in self.soft])
 
-    @property
+    @cached_property
     def _parameters(self) -> FloatArray:
         return np.array([value for term in (*self.hard, *self.soft) for value in term.values.values()])
 
+    @cached_property
+    def _key(self) -> tuple[TermFunction, ...]:
+        return tuple(term.function for term in (*self.hard, *self.soft))
+
     @property
     def _functions(self) -> TermFunctions:
-        key = tuple(term.function for term in (*self.hard, *self.soft))
-        known = _KEPT.functions
+        key, known = self._key, _KEPT.functions
         if key not in known:
             if len(known) >= _MOST_KEPT:
                 known.clear()
