@@ -268,7 +268,9 @@ class CasadiSmoother(Smoother):
             paces.append(solver.times.pace)
         prepare_programs(pool, self.settings.step)
         if self._terms is not None:
+            self._terms.values(np.zeros((1, len(SYMBOLS))))
             self._terms.with_slopes(np.zeros((1, len(SYMBOLS))))
+            sampled_terms(self._terms, path)
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:

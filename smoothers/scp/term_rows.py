@@ -57,15 +57,15 @@ def terms_along(bound: TermBound, basis: Basis, variables: Variables, rollout: R
     """Return the terms along a path; values that are not finite are infinite costs and shortfalls."""
     points = term_points(bound, basis, variables, rollout)
     values = bound.terms.values(points)
-    values[:, : len(bound.terms.hard)] -= bound.margins
     count = len(bound.terms.hard)
-    bad = ~np.isfinite(values)
-    short = np.where(bad[:, :count], np.inf, -values[:, :count]).max(axis=1, initial=-np.inf)
-    if bad[:, count:].any():
-        return TermsAlong(np.inf, short, points)
+    hard, soft = values[:, :count] - bound.margins, values[:, count:]
+    hard[~np.isfinite(hard)] = -np.inf
+    short = -hard.min(axis=1, initial=np.inf)
+    if not bound.terms.soft:
+        return TermsAlong(0.0, short, points)
     share = node_shares(basis) * variables.lengths[basis.node_gear]
-    cost = float(share @ (values[:, count:] ** 2 @ bound.terms.weights))
-    return TermsAlong(cost, short, points)
+    cost = float(share @ (soft**2 @ bound.terms.weights))
+    return TermsAlong(cost if np.isfinite(cost) else np.inf, short, points)
 
 
 def term_points(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> FloatArray:

@@ -270,3 +270,26 @@ def test_terms_can_be_changed_between_calls_and_shared_by_threads(scene):
     assert not bound.holds  # a known path is sampled again for other values
     smoother.terms = []
     assert smoother.sampled_bounds(before) == ()
+
+
+def test_samples_are_as_close_as_they_are_said_to_be():
+    bent = ClothoidSegment(
+        ClothoidSpline(Pose2(0.0, 0.0, 0.0), np.array([0.0, 0.7, 1.0]), np.array([0.0, 8.0, -8.0]), -1)
+    )
+    turn = TurnSegment(Pose2.from_sequence(bent.poses_at(1.0)[0]), -2.0)
+    poses = [[0.2 * k, 0.0, 0.3 * k] for k in range(4)]
+    path = Path((bent, turn, PolylineSegment(np.array(poses))))
+    points, s = samples_of(path)
+    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    turned = np.abs(np.angle(np.exp(1j * np.diff(points[:, 2]))))
+    inside = ~np.isin(s[1:], path.segment_starts[1:-1]) | (np.diff(s) > 0.0)  # not from one segment to the next
+    assert steps[inside].max() <= SPACING + 1e-12
+    assert turned[inside].max() <= 0.01 + 1e-12
+    inner = ~np.isin(s, path.segment_starts)
+    poses = path.poses_at(s[inner])
+    assert points[inner, :2] == pytest.approx(poses[:, :2], abs=1e-9)
+    assert np.exp(1j * points[inner, 2]) == pytest.approx(np.exp(1j * poses[:, 2]), abs=1e-9)
+    assert set(points[:, 6].tolist()) == {-1.0, 0.0, 1.0}
+    assert np.abs(points[points[:, 6] == 0.0, 3]).min() == 1e9
+    assert points[0, 5] == pytest.approx(path.driven)
+    assert points[-1, 5] == pytest.approx(0.0, abs=1e-12)

@@ -223,6 +223,8 @@ def test_wrong_values_and_sets_are_refused():
         CasadiSmoother(terms=[TERMS[0], TERMS[0].with_values(wall=1.0)])
     with pytest.raises(InvalidValue, match=r"write terms=\[...\]"):
         CasadiSmoother(terms=TERMS[0])
+    with pytest.raises(InvalidValue, match="must be a list of terms, got None"):
+        CasadiSmoother(terms=None)
     with pytest.raises(InvalidValue, match=r"terms\[0\]"):
         CasadiSmoother(terms=[lambda p: p.x])
 
