@@ -255,6 +255,9 @@ class SceneView:
         self._add("detections", "Scatter", line, "underlay", **seen)
         cusp: dict[str, Any] = {"size": 9, "marker": "diamond", "fill_color": ink("paper"), "line_color": ink("ink")}
         self._add("cusps", "Scatter", line, "underlay", **cusp)
+        label: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "y_offset": -22, "padding": 2}
+        label |= {"text_font_size": "13px", "text_color": ink("ink"), "background_fill_color": ink("paper")}
+        self._add("names", "Text", (*line, "text"), "underlay", **label)  # below the places
         # Wide lines are visible beside the outline of the docked robot.
         marked: dict[str, Any] = {"line_color": "line", "line_width": "width", "line_dash": "dashed"}
         self._add("places", "Patches", (*area, "line", "width"), "underlay", fill_alpha=0.0, **marked)
@@ -278,9 +281,6 @@ class SceneView:
         self._add("named", "Patches", (*area, "line"), fill_alpha=0.0, line_color="line", line_width=4.0)
         disc: dict[str, Any] = {"fill_color": "fill", "fill_alpha": 0.7, "line_color": "line", "line_width": 2.0}
         self._add("grips", "Circle", (*line, "radius", "fill", "line"), **disc)
-        label: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "y_offset": -22, "padding": 2}
-        label |= {"text_font_size": "13px", "text_color": ink("ink"), "background_fill_color": ink("paper")}
-        self._add("names", "Text", (*line, "text"), **label)
 
     def _add(
         self,

@@ -387,7 +387,8 @@ def check_region(page, scene):
     ]
     region = shapely.union_all([shapely.Polygon(first, holes) for first, *holes in rings])
     names = ("start body", "dock body", "station", "obstacles", "places")
-    bodies = [list(zip(x, y, strict=True)) for n in names for x, y in zip(*page.data(n).values(), strict=True)]
+    layers = [page.data(name) for name in names]
+    bodies = [list(zip(x, y, strict=True)) for one in layers for x, y in zip(one["xs"], one["ys"], strict=True)]
     grips = page.data("grips")
     discs = [shapely.Point(place) for place in zip(grips["x"], grips["y"], strict=True)]
     lines = shapely.union_all([*map(shapely.Polygon, bodies), *discs, region.boundary]).buffer(0.15)
