@@ -453,30 +453,23 @@ class Solver:
 
     def _search_and_repair(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         """Search, and repair a result that is not certified."""
-        chosen = self.settings.anytime
-        for _ in range(chosen.repairs + 1):
+        for _ in range(self.settings.anytime.repairs + 1):
             self._search(nlp, guess)
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
-            if nlp.terms is not None and self._breaks_a_term():
-                nlp = self._tightened(nlp, refused)
-                guess = guess._replace(variables=refused.variables)
-                continue
-            finer = [chosen.repair_finer * cells for _, cells in nlp.basis.shape]
-            nlp = _more_cautious(nlp, chosen) if refused.feasible else with_intervals(nlp, finer)
-            guess = guess._replace(variables=refused.variables)
+            nlp, guess = self._repaired(nlp, refused), guess._replace(variables=refused.variables)
 
-    def _breaks_a_term(self) -> bool:
-        """Whether the last refused candidate is certified, and violates a hard term."""
-        return self.outcome.refused is not None and self.outcome.refused[1].certificate.certified
-
-    def _tightened(self, nlp: NonlinearProgram, refused: Iterate) -> NonlinearProgram:
-        """Return the program with margins of the hard terms where the refused candidate violates them."""
-        assert nlp.terms is not None
-        assert refused.terms is not None
-        assert self.outcome.refused is not None
-        return replace(nlp, terms=tightened(nlp.terms, refused.terms.points, self.outcome.refused[0]))
+    def _repaired(self, nlp: NonlinearProgram, refused: Iterate) -> NonlinearProgram:
+        """Return the program of the next search after a refused candidate."""
+        chosen, judged = self.settings.anytime, self.outcome.refused
+        if nlp.terms is not None and refused.terms is not None and judged is not None:
+            path, verdict = judged
+            if verdict.certificate.certified:  # a hard term is violated
+                return replace(nlp, terms=tightened(nlp.terms, refused.terms.points, path))
+        if refused.feasible:
+            return _more_cautious(nlp, chosen)
+        return with_intervals(nlp, [chosen.repair_finer * cells for _, cells in nlp.basis.shape])
 
     def _search(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         self.outcome.converged = False
