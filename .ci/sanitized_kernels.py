@@ -30,6 +30,9 @@ TESTS = (
     "tests/optdock/test_kernels.py",
     "tests/smoothers/test_clearance_along.py",
     "tests/optdock/planners/manoeuvres/test_search_kernels.py",
+    "tests/optdock/timing/test_interior_point.py",
+    "tests/optdock/timing/test_timing_kernels.py",
+    "tests/optdock/verification/test_turning_rules.py",
 )
 
 

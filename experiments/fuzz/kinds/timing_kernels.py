@@ -14,7 +14,7 @@ import numpy as np
 from experiments.fuzz.case import Verdict
 from experiments.fuzz.doors import path_of, zone_of
 from experiments.fuzz.kinds import timings
-from experiments.fuzz.kinds.kernels import is_equal
+from experiments.fuzz.kinds.kernels import is_equal, replaced
 from optdock.deadline import budget_clock
 from optdock.errors import OptdockError
 from optdock.kernels import using_kernels
@@ -52,8 +52,10 @@ def draw(rng: np.random.Generator) -> Case:
 def judge(case: Case) -> Verdict:
     """Compare both lanes."""
     if "plugin" in case:
-        return _timings(case)
-    return _programs(case) if "program" in case else _crossings(np.random.default_rng(case["laws"]))
+        found = _timings(case)
+    else:
+        found = _programs(case) if "program" in case else _crossings(np.random.default_rng(case["laws"]))
+    return Verdict("kernel differs", replaced()) if replaced() else found
 
 
 def _timings(case: Case) -> Verdict:
