@@ -17,6 +17,9 @@ __all__ = ["answer_html", "drive_text", "status_html"]
 _KEYS_AS_FIELDS = (("raise time_budget, which is", "raise the time budget (under Planning), which is"),)
 
 
+_SHOWN = ("final error", "driving time")  # values of a drive
+
+
 def answer_html(drawn: DrawnPlan) -> str:
     """Return certificate or refusal, values and tried guesses of an answer."""
     return "".join((*map(_text_html, drawn.texts), *map(_table_html, drawn.tables)))
@@ -34,6 +37,8 @@ def status_html(scene: str, drawn: DrawnPlan | None, doing: str, mend: str = "")
     shown, outcome, headline = ("", "", "") if drawn is None else (drawn.fingerprint, drawn.outcome, drawn.headline)
     grade = f"{outcome}{' stale' if shown != scene else ''}"
     words = f"{outcome}; {doing}" if outcome and doing else doing or outcome
+    if mend and not headline.endswith("."):
+        headline += "."
     places = f'data-scene="{escape(scene)}" data-shown="{escape(shown)}" data-doing="{escape(doing)}"'
     return f'<p {places} class="{grade}"><b>{escape(words)}</b> {_escaped(headline)} <em>{escape(mend)}</em></p>'
 
@@ -45,9 +50,11 @@ def _escaped(message: str) -> str:
 
 
 def drive_text(drive: DrivenPlan) -> str:
-    """Return the outcome of a simulated drive and its values in one line."""
-    values = "; ".join(f"{name} {value}" for name, value in drive.rows)
-    return f"simulated drive: {', '.join(part for part in (drive.outcome, drive.reason) if part)}: {values}"
+    """Return the outcome of a simulated drive and its main values in one line."""
+    outcome = ", ".join(part for part in (drive.outcome, drive.reason) if part)
+    return "; ".join(
+        (f"simulated drive: {outcome}", *(f"{name} {value}" for name, value in drive.rows if name in _SHOWN))
+    )
 
 
 def _text_html(text: Text) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue
@@ -49,6 +50,7 @@ class ScenePointer:
         self._held: tuple[Grip, EditedScene] | None = None  # the grip, and the scene at the beginning of the drag
         self._made = history.scene  # by the drag; after any other change of the scene, the part is not held any more
         self._place: tuple[float, float] | None = None  # newest place of the pointer that has not been applied
+        self._on_wall: tuple[float, float] | None = None  # place of the map at which a drag began
         for kind, call in (
             (events.PanStart, self._grab), (events.Pan, self._drag), (events.PanEnd, self._release),
             (events.Tap, self._tap),
@@ -67,8 +69,8 @@ class ScenePointer:
         self._made = self._history.scene
         self._held = None if grip is None else (grip, self._made)
         costmap = self._made.problem.costmap
-        if grip is None and costmap is not None and costmap.cost_at([(event.x, event.y)])[0] == LETHAL:
-            self._on_map()
+        is_wall = grip is None and costmap is not None and costmap.cost_at([(event.x, event.y)])[0] == LETHAL
+        self._on_wall = (event.x, event.y) if is_wall else None
 
     def _drag(self, event: Pan) -> None:
         is_first, self._place = self._place is None, (event.x, event.y)
@@ -88,6 +90,10 @@ class ScenePointer:
             grip, base = self._held
             self._history.drop(lambda _: self._dragged(base, grip, (event.x, event.y)))
         self._held = None
+        # The browser ends the drag of a finger that scrolls the page after a few pixels.
+        if self._on_wall is not None and math.dist(self._on_wall, (event.x, event.y)) > self._view.metres(_REACH):
+            self._on_map()
+        self._on_wall = None
 
     def _dragged(self, base: EditedScene, grip: Grip, place: tuple[float, float]) -> EditedScene:
         self._made = base.dragged(grip, place)

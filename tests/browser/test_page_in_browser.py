@@ -170,6 +170,17 @@ def test_pictures_of_a_drag_belong_to_their_scenes(page):
     assert [paint for paint in shown if not near(starts[paint["shown"]], paint["first"])] == []
 
 
+def test_a_drag_may_begin_slowly(page):
+    place, state = page.robot(), page.state
+    page.press(place)
+    page.page.wait_for_timeout(600)
+    end = [place[0] - 0.2, place[1] + 0.1]
+    page.page.mouse.move(*page.pixel(end), steps=30)
+    page.page.mouse.up()
+    page.settle_after(state)
+    assert near(page.robot(), end, 0.02)
+
+
 def test_a_picture_of_a_greater_view_arrives_whole(page):
     """The rectangle of the figure and the layers change at once when the robot is released outside."""
     place = page.robot()

@@ -98,7 +98,10 @@ def _path_words(plan: PlanFile, problem: DockingProblem | None) -> Iterator[str]
         )
     margin, tube = claimed(plan, "margin", math.inf), claimed(plan, "tube", 0.0)
     if math.isfinite(margin):
-        yield f"Everywhere, the clearance exceeds the required one by at least {round(margin, 4) + 0.0:.4f} m."
+        more = (
+            f"exceeds the required one by at least {margin:.4f} m" if margin >= 1e-4 else "is at least the required one"
+        )
+        yield f"Everywhere, the clearance {more}."
     if tube > 0.0 and problem is not None:
         tracking = problem.robot.tracking
         yield (
@@ -156,4 +159,6 @@ def _tried_row(one: Mapping[str, object]) -> tuple[str, ...]:
     for name, scale, digits in columns:
         value = one.get(name)
         cells.append(f"{scale * value:.{digits}f}" if isinstance(value, int | float) else "")
-    return (str(one.get("stage", "")), *cells, str(one.get("reason") or "certified"))
+    # A guess may have run out of its share of the time long before the end of the call, so its advice is left out.
+    reason = str(one.get("reason") or "certified").partition("; raise time_budget")[0]
+    return (str(one.get("stage", "")), *cells, reason)

@@ -44,6 +44,13 @@
   document.getElementById("figure").addEventListener("touchstart", (event) => {
     if (event.touches.length === 1 && isOnPart(event.touches[0])) event.preventDefault();
   }, {capture: true, passive: false});
+  // Bokeh takes a pointer that rests for 0.3 s for a press and ignores its further motion, so that a drag that begins
+  // slowly would be lost. No part of the page uses presses.
+  document.getElementById("figure").addEventListener("pointerdown", () => {
+    const view = Object.values(window.Bokeh?.index ?? {}).find((one) => one.model.name === "scene");
+    const gestures = view?.canvas_view?.ui_event_bus?.ui_gestures;
+    if (gestures) gestures.constructor.press_threshold = 2 ** 31 - 1;
+  }, {capture: true});
   const watch = setInterval(() => {
     const opened = window.Bokeh?.documents[0];
     if (!opened) return;
