@@ -179,6 +179,7 @@ def drawn_plan(
     swept = np.zeros((0, 3)) if path is None else _spaced(path)
     curve = None if path is None else clearance_curve(swept, problem, problem.path_clearance, start_relief(file))
     places = tuple(_places(problem, result, file, (path, swept, curve)))
+    tightest = [one.obstacle for one in places if one.name == "tightest place" and one.obstacle]
     guess = None if raw is None else raw.sample(_SPACING)
     shown = [each.poses for each in (samples, guess) if each is not None]
     proof = file.impossibility if isinstance(file.impossibility, ImpossibilityProof) else None
@@ -188,7 +189,7 @@ def drawn_plan(
         outcome,
         method,
         seconds,
-        plan_summary(file),
+        ", tightest beside ".join((plan_summary(file), *tightest)),
         () if picture_only else tuple(plan_texts(file, problem, verdict)),
         () if picture_only else tuple(table for table in plan_tables(file, verdict) if table.rows),
         error,
