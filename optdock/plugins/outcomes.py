@@ -43,7 +43,7 @@ class Guess(NamedTuple):
 
 
 class SampledBound(NamedTuple):
-    """Bound `value >= 0` of a smoother, evaluated at samples of a path: it is not proven between them.
+    """Bound `value >= 0` of a smoother at samples of a path, not proven between them; its truth value is `holds`.
 
     `name`: name of the bound. `least`: smallest value at a sample; -inf if a value is not a finite number. `s`: path
     coordinate of this value [m]. `spacing`: largest distance between samples [m].
@@ -53,6 +53,9 @@ class SampledBound(NamedTuple):
     least: float
     s: float
     spacing: float
+
+    def __bool__(self) -> bool:
+        return self.holds
 
     @property
     def holds(self) -> bool:

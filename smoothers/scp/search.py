@@ -61,10 +61,10 @@ __all__ = [
     "Given",
     "Incumbent",
     "IterationTimes",
+    "PathVerdict",
     "Search",
     "SearchOutcome",
     "Solver",
-    "Verdict",
     "direct_line",
     "is_clothoid_answer",
     "straight_line",
@@ -75,11 +75,14 @@ __all__ = [
 _OF_THE_ENDS = ("start", "goal", "direction", "start_curvature", "final_straight")
 
 
-class Verdict(NamedTuple):
-    """Certificate of a path, and the hard terms at samples of a certified path."""
+class PathVerdict(NamedTuple):
+    """Certificate of a path, and the hard terms at samples of a certified path; its truth value is `accepted`."""
 
     certificate: Certificate
     sampled: tuple[SampledBound, ...] = ()
+
+    def __bool__(self) -> bool:
+        return self.accepted
 
     @property
     def accepted(self) -> bool:
@@ -113,7 +116,7 @@ class Call(NamedTuple):
         """Problem of the whole path, whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
-    def judged(self, path: Path, is_late: Callable[[], bool]) -> Verdict:
+    def judged(self, path: Path, is_late: Callable[[], bool]) -> PathVerdict:
         """Return the verdict on a path; for a piece, violations that concern ends of the whole path are removed."""
         certificate = certify_path(path, self.whole, is_late=is_late)
         if self.within is not None:
@@ -121,8 +124,8 @@ class Call(NamedTuple):
             broken = tuple(violation for violation in certificate.violations if violation.kind not in others)
             certificate = replace(certificate, violations=broken)
         if self.terms is None or not certificate.certified:
-            return Verdict(certificate)
-        return Verdict(certificate, sampled_terms(self.terms, path, self.before, self.after, is_late))
+            return PathVerdict(certificate)
+        return PathVerdict(certificate, sampled_terms(self.terms, path, self.before, self.after, is_late))
 
 
 class Given(NamedTuple):
@@ -227,7 +230,7 @@ class SearchOutcome:
     converged: bool = False  # whether the search ended without a time limit
     iterations: int = 0  # number of steps
     # last candidate that was not accepted, and the verdict on it, or None
-    refused: tuple[Path, Verdict] | None = None
+    refused: tuple[Path, PathVerdict] | None = None
     setup_time: float = 0.0  # time from the start of the call to the first search [s]
     first_certified: float | None = None  # time from the start of the call to the first certificate [s], or None
     certify_time: float = 0.0  # time for certificates [s]
@@ -533,7 +536,7 @@ class Solver:
             self.outcome.first_certified = self.deadline.elapsed
         return None
 
-    def _judged(self, path: Path, began: float) -> Verdict:
+    def _judged(self, path: Path, began: float) -> PathVerdict:
         """Return the verdict on a path; its time is measured from `began` [s]."""
         verdict = self.call.judged(path, self.times.is_late)
         self.outcome.certify_time += self.times.certified(began)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import wrap_angles
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
@@ -85,8 +86,7 @@ def term_points(bound: TermBound, basis: Basis, variables: Variables, rollout: R
 def _done(basis: Basis) -> FloatArray:
     """Return the share of each gear that is driven at each node, Shape (num_nodes, num_gears)."""
     gear, gears = basis.node_gear[:, None], np.arange(basis.num_gears)
-    done: FloatArray = np.where(gears == gear, basis.fraction[:, None], (gears < gear).astype(np.float64))
-    return done
+    return readonly(np.where(gears == gear, basis.fraction[:, None], (gears < gear).astype(np.float64)))
 
 
 @lru_cache(maxsize=64)
@@ -94,8 +94,7 @@ def node_shares(basis: Basis) -> FloatArray:
     """Return the weights of the trapezoidal rule at the nodes, as shares of the length of each gear."""
     cells = np.bincount(basis.interval_gear, minlength=basis.num_gears)
     inner = (basis.fraction > 0.0) & (basis.fraction < 1.0)
-    shares: FloatArray = np.where(inner, 1.0, 0.5) / cells[basis.node_gear]
-    return shares
+    return readonly(np.where(inner, 1.0, 0.5) / cells[basis.node_gear])
 
 
 def linearized_terms(

@@ -32,7 +32,7 @@ from optdock.model.trajectory import Trajectory
 from optdock.planning.changed_world import StillHolds
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.replanning import Replanned, ReplanOutcome
-from optdock.plugins.outcomes import BehaviorResult, BehaviorStatus, TimingResult, TimingStatus
+from optdock.plugins.outcomes import BehaviorResult, BehaviorStatus, SampledBound, TimingResult, TimingStatus
 from optdock.reports.plan_file_verdict import PlanFileVerdict
 from optdock.samples import SampledMotionVerdict
 from optdock.simulation.closed_loop import Run
@@ -41,6 +41,7 @@ from optdock.timing.start_states import StartVerdict
 from optdock.verification import Certificate, TrajectoryCertificate, Violation, certify_path, certify_trajectory
 from optdock.verification.conservative_advancement import ClearanceProof
 from optdock.verification.proven_motion import WayVerdict, prove_way
+from smoothers.scp.search import PathVerdict
 
 # What a class calls its verdict: an attribute or a property that is a bool. Where one of these is no verdict, the class
 # stands in `NO_VERDICT`.
@@ -99,7 +100,7 @@ def words_of(kind):
 
 def is_verdict(kind):
     said = (inspect.getdoc(kind) or "").split("\n", maxsplit=1)[0]
-    named = kind.__name__.endswith(("Verdict", "Certificate")) or "verdict" in said or said.startswith("Whether")
+    named = kind.__name__.endswith(("PathVerdict", "Certificate")) or "verdict" in said or said.startswith("Whether")
     if kind.__name__.startswith("_") or f"{kind.__module__}.{kind.__qualname__}" in NO_VERDICT:
         return False
     return named or bool(words_of(kind))
@@ -120,7 +121,7 @@ VERDICTS = [
         RunColumns,
         DenseReport,
     ),
-    *(TimingStatus, TimingResult, BehaviorStatus, BehaviorResult, StartVerdict),
+    *(TimingStatus, TimingResult, BehaviorStatus, BehaviorResult, StartVerdict, SampledBound, PathVerdict),
 ]
 
 
@@ -156,6 +157,7 @@ def judged():
     other = Cycle(**dict.fromkeys(Cycle._fields))
     fault = Fault("clearance", 1.0, 0.0, 0.1)
     dense = dense_check(plan.path, free)
+    kept, broken = (SampledBound("line", least, 1.0, 0.005) for least in (0.1, -0.1))
     return {
         Certificate: (plan.certificate, certify_path(plan.path, walled)),
         TrajectoryCertificate: (plan.trajectory_certificate, certify_trajectory(plan.trajectory, slow, zone)),
@@ -179,6 +181,8 @@ def judged():
         BehaviorStatus: (BehaviorStatus.SUCCEEDED, BehaviorStatus.FAILED),
         BehaviorResult: (BehaviorResult(BehaviorStatus.SUCCEEDED), BehaviorResult(BehaviorStatus.RUNNING)),
         StartVerdict: (StartVerdict(None), StartVerdict(SegmentPlan(TimingStatus.BAD_START, how="none"))),
+        SampledBound: (kept, broken),
+        PathVerdict: (PathVerdict(plan.certificate, (kept,)), PathVerdict(plan.certificate, (broken,))),
     }
 
 

@@ -20,7 +20,7 @@ from optdock.model.robot import Robot
 from optdock.plugins.interfaces import SmoothingStatus
 from optdock.verification import certify_path
 from smoothers import CasadiSmoother, HardTerm, SoftTerm
-from smoothers.scp.search import Call, Verdict
+from smoothers.scp.search import Call, PathVerdict
 from smoothers.scp.term_samples import SPACING, sampled_cost, samples_of
 
 GOAL = Pose2(4.0, 1.0, 0.0)
@@ -223,7 +223,7 @@ def test_lengths_run_on_over_the_pieces_between_turns(cases):
 
 
 def test_no_result_passes_the_last_gate_whatever_the_search_accepts(scene, monkeypatch):
-    monkeypatch.setattr(Verdict, "accepted", property(lambda verdict: verdict.certificate.certified))
+    monkeypatch.setattr(PathVerdict, "accepted", property(lambda verdict: verdict.certificate.certified))
     with pytest.raises(FailedToSmoothPath) as no:
         smoothed(scene, IMPOSSIBLE["in a strip between two nodes"])
     assert_refused(no.value, "mine")

@@ -40,6 +40,8 @@ from optdock.simulation.world import Record
 from optdock.ui import drawn_plan, scene_files, scene_maps
 from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
+from optdock.verification.compiled_clearances import packed_footprint
+from smoothers.scp import term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
 
@@ -215,6 +217,7 @@ OF_ONE_CALL = {
     "PathLimits",
     "ReferenceBounds",
     "Scene",
+    "TermBound",
     "_LeastSquares",
 }
 
@@ -291,6 +294,9 @@ SHARED = {
     "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
+    "_done": lambda: term_rows._done(basis_for(((8, 2),))),
+    "node_shares": lambda: term_rows.node_shares(basis_for(((8, 2),))),
+    "packed_footprint": lambda: packed_footprint(problem().robot.footprint),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
     "_region": lambda: drawn_plan._region(shut_in()),
     "body_of": lambda: collision_scene.body_of(problem().robot.footprint),
