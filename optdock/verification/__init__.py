@@ -15,7 +15,7 @@ from optdock.verification.certificate import (
     where_broken,
 )
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
-from optdock.verification.compiled_clearances import compiled_clearances
+from optdock.verification.clearance_kernel import compiled_clearances
 from optdock.verification.proven_motion import (
     ProvenMotion,
     ProvenWay,

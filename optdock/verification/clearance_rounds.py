@@ -16,7 +16,7 @@ from optdock.geometry.separation import skips_edges
 from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.verification.certificate import SHARPNESS, TOLERANCE
-from optdock.verification.compiled_clearances import packed_footprint
+from optdock.verification.clearance_kernel import packed_footprint
 from optdock.verification.proximity import bounded_footprint
 from optdock.verification.stretch_bounds import Advances, advance_bounds, most_at_once
 

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
+from optdock.verification.clearance_kernel import compiled_clearances
 from optdock.verification.clearance_rounds import Near, Rule, World, clearance_round, from_both_ends
-from optdock.verification.compiled_clearances import compiled_clearances
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
 from optdock.verification.motion_bounds import Cells, PathMotion, divided, first_cells
 from optdock.verification.proximity import bounded, pose_clearances

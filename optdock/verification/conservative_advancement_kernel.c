@@ -1,5 +1,5 @@
 /* The proof of clearance: bounds over stretches of motion and rounds of cells (`conservative_advancement.py`), cells and
- * their ends (`motion_bounds.py`), and clearances of poses (`compiled_clearances.py`) in C. Equation numbers are those of
+ * their ends (`motion_bounds.py`), and clearances of poses (`clearance_kernel.py`) in C. Equation numbers are those of
  * docs/theory/certificate.md.
  *
  * Every sum and product is evaluated in the order of the twin, and angles enter as the sines and cosines that NumPy has

@@ -16,7 +16,7 @@ from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, Wavefront, disc_states
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
-from optdock.verification.compiled_clearances import packed_footprint
+from optdock.verification.clearance_kernel import packed_footprint
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -40,7 +40,7 @@ from optdock.simulation.world import Record
 from optdock.ui import drawn_plan, scene_files, scene_maps
 from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
-from optdock.verification.compiled_clearances import packed_footprint
+from optdock.verification.clearance_kernel import packed_footprint
 from smoothers.scp import term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
