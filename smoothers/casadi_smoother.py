@@ -219,7 +219,7 @@ class CasadiSmoother(Smoother):
         best, outcome = solver.follow_strategy(call), solver.outcome
         sampled = () if call.terms is None else sampled_terms(call.terms, best.path)
         broken = next((bound for bound in sampled if not bound.holds), None)
-        if broken is not None:  # every result passes here, whatever its origin
+        if broken is not None:  # also of results that were not searched
             raise refuse_term(broken, best.path).error()
         report = SmoothingReport(
             status=best.given or (SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED),

@@ -82,14 +82,14 @@ def term_points(bound: TermBound, basis: Basis, variables: Variables, rollout: R
     return points
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)  # as `basis_for`, because the key keeps the basis
 def _done(basis: Basis) -> FloatArray:
     """Return the share of each gear that is driven at each node, Shape (num_nodes, num_gears)."""
     gear, gears = basis.node_gear[:, None], np.arange(basis.num_gears)
     return readonly(np.where(gears == gear, basis.fraction[:, None], (gears < gear).astype(np.float64)))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)  # as `basis_for`, because the key keeps the basis
 def node_shares(basis: Basis) -> FloatArray:
     """Return the weights of the trapezoidal rule at the nodes, as shares of the length of each gear."""
     cells = np.bincount(basis.interval_gear, minlength=basis.num_gears)
