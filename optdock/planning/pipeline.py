@@ -319,6 +319,7 @@ class _Portfolio:
     tried: list[Attempt] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     interrupted: list[_Interrupted] = field(default_factory=list)
+    left_out: set[str] = field(default_factory=set)  # digests of the tried guesses with a gear left out
     is_cut_off: bool = False  # whether the clock ended the call before all guesses were made or tried
 
     def __post_init__(self) -> None:
@@ -339,6 +340,7 @@ class _Portfolio:
         with contextlib.closing(self._guesses()) as guesses:
             for guess, is_last in guesses:
                 self._try(guess, is_last=is_last)
+                self._leave_out_gears()
                 if self.work.is_late() or self._must_go_on():
                     self.is_cut_off |= not is_last
                     break
@@ -349,12 +351,12 @@ class _Portfolio:
             elif self.best is None:
                 self.failures = [failure for failure in self.failures if failure.left.raw_path is not guess.path]
                 self._try(guess, begun, is_last=True)
+                self._leave_out_gears()
         plans = [plan for plan in (self.best, self.last_resort) if plan is not None]
         if not plans:
             self._leave()
             raise refusal(self.failures, self.work, is_cut_off=self.is_cut_off)
         self.best = min(plans, key=lambda plan: plan.price)
-        self._leave_out_gears()
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
         return replace(self.best, completed=self._is_complete(self.best), timing_ms=timing, tried=tuple(self.tried))
 
@@ -364,14 +366,19 @@ class _Portfolio:
         return plan.completed and not self.deadline.passed() and not (plan is self.last_resort and is_cut_short)
 
     def _leave_out_gears(self) -> None:
-        """Try the best plan without one of its short gear segments, and repeat while this may reduce the price."""
-        tried: set[str] = set()
-        while self.best is not None and len(tried) < _MOST_LEFT_OUT and not self.work.is_late():
-            simpler = (path for path in fewer_cusps(self.best.path, self.problem) if path.digest not in tried)
+        """Try the best plan without one of its short gear segments, and repeat while this may reduce the price.
+
+        This takes place before the next guess is made: guesses of one search have about as many gears, so that most of
+        them are no longer worth a try afterwards.
+        """
+        left = _MOST_LEFT_OUT
+        while self.best is not None and left > 0 and not self.work.is_late():
+            simpler = (path for path in fewer_cusps(self.best.path, self.problem) if path.digest not in self.left_out)
             path = next((one for one in simpler if least_price(one, self.problem) < self._worth_a_try()), None)
             if path is None:
                 return
-            tried.add(path.digest)
+            left -= 1
+            self.left_out.add(path.digest)
             self._try(Guess(path, FEWER_CUSPS), is_last=True)
 
     def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
