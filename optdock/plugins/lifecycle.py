@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from abc import ABC
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["LifecycleState", "Plugin", "PluginContext"]
+
+
+_LOGGER = logging.getLogger("optdock")
 
 
 class LifecycleState(str, Enum):
@@ -69,7 +72,7 @@ class PluginContext:
     footprint: Footprint | None = None
     problem: DockingProblem | None = None
     clock: Callable[[], float] = now
-    logger: logging.Logger = field(default_factory=lambda: logging.getLogger("optdock"))
+    logger: logging.Logger = _LOGGER
     local_costmap: Costmap | None = None
 
     def __post_init__(self) -> None:

@@ -159,8 +159,8 @@ def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object
     """
     plugin_class = load_plugin(interface, name)
     values = {} if parameters is None else parameters
-    # The values are validated before the call, because not every name in a file is a valid keyword argument.
-    parse_parameters(plugin_class.Parameters, values, plugin_class.__name__)
+    if values:  # validated before the call, because not every name in a file is a valid keyword argument
+        parse_parameters(plugin_class.Parameters, values, plugin_class.__name__)
     try:
         return plugin_class(**values)
     except OptdockError:
