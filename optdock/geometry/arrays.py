@@ -22,7 +22,17 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 _Array = TypeVar("_Array", bound="NDArray[np.generic]")
 _Value = TypeVar("_Value")
 
-__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "digest", "frozen", "frozen_array", "readonly", "vector"]
+__all__ = [
+    "BoolArray",
+    "FloatArray",
+    "FrozenArrays",
+    "IntArray",
+    "digest",
+    "frozen",
+    "frozen_array",
+    "readonly",
+    "vector",
+]
 
 _DOUBLE = np.dtype(np.float64)
 _DIGEST_BYTES = 8  # a collision of two problems has probability 2^-64; digests detect mistakes, not attacks
