@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.planners.manoeuvres.arcs import Arcs, are_free, joined
-from optdock.planners.manoeuvres.connections import cheapest_words, end_gears, is_wholly_free
-from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
+from optdock.planners.manoeuvres.connections import cheapest_words, is_wholly_free
+from optdock.planners.manoeuvres.price import stopping_cost
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -111,14 +111,12 @@ class _LazySearch:
         i, j = i[wanted], j[wanted]
         ends = self._poses[i], self._poses[j]
         words = cheapest_words(*ends, self._effort.radius, self._space, _WORDS_PER_PAIR)
-        pair, driven, lengths, curvatures = words
-        begins, ends_in = end_gears(lengths)
-        prices = driven + self._stop * gear_changes(lengths)
-        speed = self._space.problem.start_speed
-        kept = (begins != 0.0) & ((i[pair] > 0) | (begins * speed >= 0.0))
-        kept = np.flatnonzero(kept)[np.argsort(i[pair[kept]], kind="stable")]
-        pair = pair[kept]
-        return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
+        i, j, begins = i[words.pair], j[words.pair], words.begins
+        prices = words.driven + self._stop * words.changes
+        kept = ((begins != 0.0) & ((i > 0) | (begins * self._space.problem.start_speed >= 0.0))).nonzero()[0]
+        kept = kept[i[kept].argsort(kind="stable")]
+        parts = i, j, prices, begins, words.ends, words.lengths, words.curvatures
+        return _Edges(*(part[kept] for part in parts))
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
         """Yield complete paths of free words with their prices as they are found."""
