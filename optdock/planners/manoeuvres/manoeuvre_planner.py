@@ -19,6 +19,7 @@ from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
 from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres
+from optdock.planners.manoeuvres.disc_routes import elastic_band
 from optdock.planners.manoeuvres.end_trees import (
     BOTH,
     EXIT_TURN,
@@ -33,7 +34,7 @@ from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
-from optdock.planners.manoeuvres.roadmap import elastic_band, roadmap_ways
+from optdock.planners.manoeuvres.roadmap import roadmap_ways
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, never_cancelled
 from optdock.plugins.outcomes import Guess
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from optdock.planners.manoeuvres.arcs import Arcs
-    from optdock.planners.manoeuvres.distance_field import Wavefront
+    from optdock.planners.manoeuvres.disc_routes import Wavefront
     from optdock.planners.manoeuvres.turns import TurnSearch
 
 __all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters", "Stages"]
