@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "joined"]
+__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "first_free", "joined"]
 
 _NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
@@ -289,6 +289,35 @@ def are_free(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, 
     begins = np.cumsum([0, *(len(block) for block in blocks[:-1])])
     found: BoolArray = np.logical_and.reduceat(free, begins)
     return found
+
+
+_FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=1)
+
+
+def _first_free_native(
+    arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace, limits: tuple[float, float]
+) -> int:
+    (n, count), first = arcs.lengths.shape, np.full(1, len(arcs.lengths))
+    if len(space.obstacles) == 0:
+        return 0
+    columns = [(np.ascontiguousarray(column), column.size) for column in (*arcs, shares)]
+    space.check(_FIRST_KERNEL, (n, count, shares.size), (spacing,), (*columns, (first, 1)), limits)
+    return int(first[0])
+
+
+@twin_of(_first_free_native)
+def first_free(arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> int:
+    """Return the row of the first free sequence, or the number of sequences if none is free.
+
+    The sequences are checked at `shares` of their lengths, Shape (q,), ascending; those that pass as by `are_free`.
+    """
+    poses = arcs.poses_at_shares(shares)
+    passed = space.is_free(poses.reshape(-1, 3), *limits).reshape(poses.shape[:2]).all(axis=1)
+    for row in np.flatnonzero(passed).tolist():
+        space.poll()
+        if are_free(arcs.rows(slice(row, row + 1)), spacing, space, limits)[0]:
+            return int(row)
+    return len(arcs.lengths)
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:

@@ -9,7 +9,7 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import Arcs, are_free, joined
+from optdock.planners.manoeuvres.arcs import Arcs, are_free, first_free, joined
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 
@@ -183,27 +183,19 @@ def free_manoeuvres(
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
     """Yield collision-free manoeuvres from start to goal in ascending order of price, up to `worthwhile()`."""
-    for k in range(0, found.prices.size, _BATCH):
+    limits, spacing, row = (effort.margin, effort.start_relief), space.spacing(effort), 0
+    while row < (last := int(found.prices.searchsorted(worthwhile()))):
         space.poll()
-        if found.prices[k] >= worthwhile():
-            return
-        some = slice(k, k + _BATCH)
+        some = slice(row, min(row + _BATCH, last))
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
-        coarse = words.poses_at_shares(_COARSE)
-        limits = effort.margin, effort.start_relief
-        passed = space.is_free(coarse.reshape(-1, 3), *limits).reshape(coarse.shape[:2]).all(axis=1)
-        for row in np.flatnonzero(passed).tolist():
-            space.poll()
-            if found.prices[k + row] >= worthwhile():
-                return
-            word = words.rows(slice(row, row + 1))
-            if not are_free(word, space.spacing(effort), space, limits)[0]:
-                continue
-            r = k + row
-            way_out, way_in = exits.way(int(found.exits[r])), entries.way(int(found.entries[r]))
-            whole = joined(space.problem.start.as_array(), way_out, (found.lengths[r], found.curvatures[r]), way_in)
-            if is_wholly_free(whole, space, effort):
-                yield whole
+        row += first_free(words, _COARSE, spacing, space, limits)
+        if row == some.stop:
+            continue
+        way_out, way_in = exits.way(int(found.exits[row])), entries.way(int(found.entries[row]))
+        whole = joined(space.problem.start.as_array(), way_out, (found.lengths[row], found.curvatures[row]), way_in)
+        row += 1
+        if is_wholly_free(whole, space, effort):
+            yield whole
 
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
