@@ -22,8 +22,19 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 _Array = TypeVar("_Array", bound="NDArray[np.generic]")
 _Value = TypeVar("_Value")
 
-__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "digest", "frozen", "frozen_array", "readonly"]
+__all__ = [
+    "BoolArray",
+    "FloatArray",
+    "FrozenArrays",
+    "IntArray",
+    "digest",
+    "frozen",
+    "frozen_array",
+    "readonly",
+    "vector",
+]
 
+_DOUBLE = np.dtype(np.float64)
 _DIGEST_BYTES = 8  # a collision of two problems has probability 2^-64; digests detect mistakes, not attacks
 
 
@@ -82,7 +93,9 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     """
     try:
         given = np.asarray(values)
-        if given.dtype.kind not in "iufO" or any(isinstance(one, str | bool) for one in _objects(given)):
+        if given.dtype.kind == "O" and any(isinstance(one, str | bool) for one in given.ravel().tolist()):
+            raise TypeError(given.dtype)
+        if given.dtype.kind not in "iufO":
             raise TypeError(given.dtype)
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -90,10 +103,18 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     wanted = "(n,)" if columns is None else f"(n, {columns})"
     if array.ndim != (1 if columns is None else 2) or (columns is not None and array.shape[1] != columns):
         raise InvalidValue(f"{name}: must have shape {wanted}, got {array.shape}")
-    bad = np.argwhere(~np.isfinite(array))
-    if bad.size:
-        raise InvalidValue(f"{name}: must be finite, got {array[tuple(bad[0])]} at index {bad[0].tolist()}")
+    is_finite = np.isfinite(array)
+    if not is_finite.all():
+        bad = np.argwhere(~is_finite)[0]
+        raise InvalidValue(f"{name}: must be finite, got {array[tuple(bad)]} at index {bad.tolist()}")
     return readonly(array)
+
+
+def vector(values: ArrayLike) -> FloatArray:
+    """Return a number, or numbers of Shape (n,), as an array of Shape (n,); such an array is not copied."""
+    if type(values) is np.ndarray and values.dtype is _DOUBLE and values.ndim == 1:
+        return values
+    return np.atleast_1d(np.asarray(values, dtype=np.float64))
 
 
 def digest(*parts: ArrayLike | str) -> str:
@@ -110,8 +131,3 @@ def digest(*parts: ArrayLike | str) -> str:
             values = np.asarray(part, dtype=np.float64) + 0.0  # -0.0 + 0.0 is 0.0
             found.update(repr(values.shape).encode() + values.tobytes())
     return found.hexdigest()
-
-
-def _objects(array: NDArray[np.generic]) -> Iterable[object]:
-    """Return the elements of an array of dtype object."""
-    return array.ravel().tolist() if array.dtype.kind == "O" else ()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly, vector
 from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.pose import Pose2, check_range
 
@@ -31,9 +31,11 @@ _MAX_CELLS = 100_000
 
 def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
     """Return the knots with additional knots, such that no cell turns by more than `_MAX_TURN_PER_CELL`."""
-    steps = np.diff(knots)
-    turn = steps * np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:]))
-    parts = np.ceil(np.clip(turn / _MAX_TURN_PER_CELL, 1.0, _MAX_CELLS + 1.0)).astype(np.int64)
+    size = np.abs(curvature)
+    turn = (knots[1:] - knots[:-1]) * np.maximum(size[:-1], size[1:])
+    if turn.max() <= _MAX_TURN_PER_CELL and turn.size <= _MAX_CELLS:
+        return knots
+    parts = np.ceil(np.minimum(np.maximum(turn / _MAX_TURN_PER_CELL, 1.0), _MAX_CELLS + 1.0)).astype(np.int64)
     if parts.sum() > _MAX_CELLS:
         raise InvalidValue(f"clothoid: turns by {turn.sum():.3g} rad in all, more than can be evaluated")
     return subdivided(knots, parts)
@@ -41,10 +43,12 @@ def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
 
 def subdivided(knots: FloatArray, parts: IntArray) -> FloatArray:
     """Return knots, Shape (n + 1,), with interval i divided into parts[i] equal parts."""
-    steps = np.diff(knots)
-    owner = np.repeat(np.arange(steps.size), parts)
-    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+    owner = np.arange(parts.size).repeat(parts)
+    rank = np.arange(owner.size) - (parts.cumsum() - parts)[owner]
+    found = np.empty(owner.size + 1)
+    found[:-1] = knots[owner] + (knots[1:] - knots[:-1])[owner] * rank / parts[owner]
+    found[-1] = knots[-1]
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,32 +81,39 @@ class ClothoidSpline(FrozenArrays):
         curvature = frozen_array(self.curvature, "clothoid.curvature")
         if knots.size < 2 or knots.size != curvature.size:
             raise InvalidValue(f"clothoid: needs >= 2 knots, each with a curvature, got {knots.size}, {curvature.size}")
-        if knots[0] != 0.0 or not np.all(np.diff(knots) > 0.0):
+        if knots[0] != 0.0 or not (knots[1:] > knots[:-1]).all():
             raise InvalidValue("clothoid.knots: must start at 0 and increase strictly")
         sign = finite_number(self.sign, "clothoid.sign")
         if sign not in (1.0, -1.0):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
         exactly(Pose2, self.start, "clothoid.start")
         breaks = _refined_breaks(knots, curvature)
-        if not np.all(np.diff(breaks) > 0.0):
-            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
-        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), _breaks=readonly(breaks))
+        if breaks is not knots:
+            if not (breaks[1:] > breaks[:-1]).all():
+                raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
+            breaks = readonly(breaks)
+        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), _breaks=breaks)
         with np.errstate(over="ignore", invalid="ignore"):
             states = self._integrate_breaks()
-        if not np.all(np.isfinite(states)):
+        if not np.isfinite(states).all():
             raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
         check_range(states, "clothoid")
         vars(self).update(_break_states=readonly(states))
 
     def _integrate_breaks(self) -> FloatArray:
-        steps = np.diff(self._breaks)
-        kappa = np.interp(self._breaks, self.knots, self.curvature)
-        yaw = self.start.yaw + np.concatenate(([0.0], np.cumsum(0.5 * steps * (kappa[:-1] + kappa[1:]))))
-        rate = np.diff(kappa) / steps
-        along, across = _displacements(steps, yaw[:-1], kappa[:-1], rate)
-        x = self.start.x + self.sign * np.concatenate(([0.0], np.cumsum(along)))
-        y = self.start.y + self.sign * np.concatenate(([0.0], np.cumsum(across)))
-        return np.column_stack((x, y, yaw, kappa))
+        breaks, states = self._breaks, np.zeros((self._breaks.size, 4))
+        kappa = self.curvature if breaks is self.knots else np.interp(breaks, self.knots, self.curvature)
+        steps, before = breaks[1:] - breaks[:-1], kappa[:-1]
+        x, y, yaw, _ = states.T
+        (0.5 * steps * (before + kappa[1:])).cumsum(out=yaw[1:])
+        yaw += self.start.yaw
+        along, across = _displacements(steps, yaw[:-1], before, (kappa[1:] - before) / steps)
+        (self.sign * along).cumsum(out=x[1:])
+        (self.sign * across).cumsum(out=y[1:])
+        x += self.start.x
+        y += self.start.y
+        states[:, 3] = kappa
+        return states
 
     def __repr__(self) -> str:
         gear = "forward" if self.sign > 0 else "reverse"
@@ -115,7 +126,7 @@ class ClothoidSpline(FrozenArrays):
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Return the poses at arc lengths `s`, Shape (n,) [m], clipped to the curve. Shape (n, 3)."""
-        points = np.minimum(np.maximum(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0), self.length)
+        points = np.minimum(np.maximum(vector(s), 0.0), self.length)
         cell = self._breaks[1:-1].searchsorted(points, side="right")
         base, step = self._break_states[cell], points - self._breaks[cell]
         rate, poses = self._cell_rates[cell], np.empty((points.size, 3))
@@ -127,21 +138,22 @@ class ClothoidSpline(FrozenArrays):
 
     @functools.cached_property
     def _cell_rates(self) -> FloatArray:
-        return readonly(np.diff(self._break_states[:, 3]) / np.diff(self._breaks))
+        kappa, breaks = self._break_states[:, 3], self._breaks
+        return readonly((kappa[1:] - kappa[:-1]) / (breaks[1:] - breaks[:-1]))
 
     @functools.cached_property
     def curvature_rates(self) -> FloatArray:
         """Curvature rate d curvature / ds between the knots, Shape (n - 1,) [1/m^2]."""
-        return readonly(np.diff(self.curvature) / np.diff(self.knots))
+        curvature, knots = self.curvature, self.knots
+        return readonly((curvature[1:] - curvature[:-1]) / (knots[1:] - knots[:-1]))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
         """Return the curvature at arc lengths `s`, Shape (n,) [1/m]."""
-        return np.interp(np.atleast_1d(np.asarray(s, dtype=np.float64)), self.knots, self.curvature)
+        return np.interp(vector(s), self.knots, self.curvature)
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
         """Return d curvature / ds at `s`, Shape (n,) [1/m^2]; right-sided at knots, left-sided at the end."""
-        points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
-        piece = np.searchsorted(self.knots[1:-1], points, side="right")
+        piece = self.knots[1:-1].searchsorted(vector(s), side="right")
         rates: FloatArray = self.curvature_rates[piece]
         return rates
 
@@ -152,7 +164,7 @@ class ClothoidSpline(FrozenArrays):
         start = self.start if begin == 0.0 else Pose2.from_sequence(self.poses_at(begin)[0])
         return ClothoidSpline(start, knots - begin, self.curvature_at(knots), self.sign)
 
-    @property
+    @functools.cached_property
     def end(self) -> Pose2:
         """Pose at s = length."""
         return Pose2.from_sequence(self._break_states[-1, :3])

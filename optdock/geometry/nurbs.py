@@ -11,14 +11,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly, vector
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Nurbs"]
+__all__ = ["Nurbs", "shares"]
+
+
+def shares(count: int) -> FloatArray:
+    """Return `count` + 1 evenly spaced numbers from 0 to 1, with the values of `numpy.linspace`."""
+    found = np.arange(count + 1, dtype=np.float64)
+    found *= 1.0 / count
+    found[-1] = 1.0
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +59,21 @@ class Nurbs(FrozenArrays):
         degree, count = int(self.degree), len(points)
         if count <= degree:
             raise InvalidValue(f"nurbs.control_points: degree {degree} needs at least {degree + 1}, got {count}")
-        inner = np.linspace(0.0, 1.0, count - degree + 1)
-        knots = readonly(np.concatenate((np.zeros(degree), inner, np.ones(degree))))
-        vars(self).update(control_points=points, degree=degree, knots=knots)
+        knots = np.zeros(count + degree + 1)
+        knots[degree : count + 1] = shares(count - degree)
+        knots[count + 1 :] = 1.0
+        vars(self).update(control_points=points, degree=degree, knots=readonly(knots))
 
     @property
     def speed_bound(self) -> float:
         """Upper bound of |dC/du|: the largest norm of a control point of the derivative ([Piegl1997] eq. 3.4)."""
         span = self.knots[self.degree + 1 : -1] - self.knots[1 : -self.degree - 1]
-        legs = np.sqrt(np.sum(np.diff(self.control_points, axis=0) ** 2, axis=1))
-        return float(np.max(self.degree * legs / span))
+        dx, dy = (self.control_points[1:] - self.control_points[:-1]).T
+        return float((self.degree * np.sqrt(dx * dx + dy * dy) / span).max())
 
     def points_at(self, u: ArrayLike) -> FloatArray:
         """Return the points of the curve at parameters `u`. Shape (m, 2) [m]."""
-        return self._derivatives(u, 0)[0]
+        return self._derivative(u, 0)
 
     def tangent_yaw_at(self, u: ArrayLike) -> FloatArray:
         """Return the direction of travel in (-pi, pi]. Shape (m,) [rad].
@@ -71,32 +81,40 @@ class Nurbs(FrozenArrays):
         Where the first derivative is zero, the direction follows from the second derivative, reversed at u = 1. The
         result is NaN where both derivatives are zero.
         """
-        heading = self._derivatives(u, 1)[1]
-        still = ~np.any(heading, axis=1)
-        if still.any():
-            second = self._derivatives(u, 2)[2]
-            at_end = np.atleast_1d(np.asarray(u, dtype=np.float64)) >= 1.0
-            heading = np.where(still[:, None], np.where(at_end[:, None], -second, second), heading)
+        heading = self._derivative(u, 1)
+        moves = (heading[:, 0] != 0.0) | (heading[:, 1] != 0.0)
+        if not moves.all():
+            second = self._derivative(u, 2)
+            heading = np.where(moves[:, None], heading, np.where(vector(u)[:, None] >= 1.0, -second, second))
+            moves = (heading[:, 0] != 0.0) | (heading[:, 1] != 0.0)
         yaw = np.arctan2(heading[:, 1], heading[:, 0])
         yaw[yaw == -np.pi] = np.pi
-        yaw[~np.any(heading, axis=1)] = np.nan
+        yaw[~moves] = np.nan
         return yaw
 
-    def _derivatives(self, u: ArrayLike, order: int) -> tuple[FloatArray, ...]:
-        """Return C and its derivatives up to `order`, which are B-splines as well ([Piegl1997] eq. 3.3)."""
-        at = np.clip(np.atleast_1d(np.asarray(u, dtype=np.float64)), 0.0, 1.0)
+    def _derivative(self, u: ArrayLike, order: int) -> FloatArray:
+        """Return the derivative of that order, which is a B-spline as well ([Piegl1997] eq. 3.3)."""
+        at = np.minimum(np.maximum(vector(u), 0.0), 1.0)
         knots, points, degree = self.knots, self.control_points, self.degree
-        found = [_spline_at(at, knots, points, degree)]
         for _ in range(order):
             if degree == 0:  # the derivative of a constant
-                found.append(np.zeros_like(found[0]))
-                continue
+                return np.zeros((at.size, 2))
             span = knots[degree + 1 : -1] - knots[1 : -degree - 1]
-            points, knots, degree = degree * np.diff(points, axis=0) / span[:, None], knots[1:-1], degree - 1
-            found.append(_spline_at(at, knots, points, degree))
-        return tuple(found)
+            points, knots, degree = degree * (points[1:] - points[:-1]) / span[:, None], knots[1:-1], degree - 1
+        return _spline_at(at, knots, points, degree)
 
 
+_KERNEL = Kernel("optdock_spline_points", sizes=3, numbers=0)
+
+
+def _spline_native(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
+    m, n, found, work = u.size, len(points), np.empty((u.size, 2)), np.empty((degree + 1, 2))
+    arrays = (u, m), (knots, n + degree + 1), (points, 2 * n), (work, work.size), (found, 2 * m)
+    _KERNEL((m, n, degree), (), arrays)
+    return found
+
+
+@twin_of(_spline_native)
 def _spline_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
     """Return the points of a B-spline at `u` by repeated linear interpolation ([DeBoor1978] ch. X, algorithm 8)."""
     span = np.clip(np.searchsorted(knots, u, side="right") - 1, degree, len(points) - 1)[:, None]

@@ -191,7 +191,7 @@ class ObstacleSet(FrozenArrays):
 
     def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
         """Return the rows of the pieces that `in_box` selects, in ascending order."""
-        return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
+        return ((self.lower <= upper) & (self.upper >= lower)).all(axis=1).nonzero()[0]
 
     def rows_at(self, points: FloatArray) -> IntArray:
         """Return the row of a piece that contains or touches each point, Shape (n, 2) [m], or -1. Shape (n,)."""

@@ -47,8 +47,10 @@ def check_range(poses: FloatArray, name: str) -> None:
     Raises:
         InvalidValue: If a coordinate is beyond 1e8 m or a yaw beyond 1e6 rad.
     """
-    for column, most, unit in ((poses[:, :2], FARTHEST, "m"), (poses[:, 2], MOST_TURNED, "rad")):
-        found = float(np.max(np.abs(column), initial=0.0))
+    x, y, turned = np.abs(poses[:, :3]).max(axis=0, initial=0.0).tolist()
+    if x <= FARTHEST and y <= FARTHEST and turned <= MOST_TURNED:
+        return
+    for found, most, unit in ((x, FARTHEST, "m"), (y, FARTHEST, "m"), (turned, MOST_TURNED, "rad")):
         if not found <= most:
             what = "coordinates" if unit == "m" else "yaws"
             raise InvalidValue(f"{name}: {what} must be within +-{most:g} {unit}, got {found:g}")
@@ -72,6 +74,8 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
 
 def unwrap_yaw(yaw: FloatArray) -> FloatArray:
     """Return yaws shifted by whole turns, such that consecutive values differ by at most pi. Shape (n,) [rad]."""
+    if yaw.size < 2 or np.abs(yaw[1:] - yaw[:-1]).max() < np.pi:
+        return yaw + 0.0
     return np.asarray(np.unwrap(yaw), dtype=np.float64)
 
 
@@ -170,7 +174,8 @@ class Pose2:
         """
         if len(values) != 3:
             raise InvalidValue(f"pose: must be [x, y, yaw], got {len(values)} values")
-        return cls(values[0], values[1], values[2])
+        x, y, yaw = values.tolist() if isinstance(values, np.ndarray) else values
+        return cls(x, y, yaw)
 
 
 @dataclass(frozen=True, slots=True)

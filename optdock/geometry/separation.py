@@ -92,7 +92,7 @@ def _by_all_axes(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> S
     at = _corners(body, poses, turn)
     best = _better(_along_piece_normals(at, pieces), _along_body_normals(body, poses, turn, pieces))
     best = _better(best, _along_nearest_vertices(at, pieces))
-    return Separation(best.distance, np.column_stack((best.x, best.y)))
+    return _as_separation(best)
 
 
 def _by_likely_axes(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Separation:
@@ -107,7 +107,7 @@ def _by_likely_axes(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -
     depth[_repeated(corners)] = -np.inf
     low, high = _largest(-height)[0], _largest(depth)[0]
     best = _better(best, _along_nearest_vertices(at, pieces, _picked(at, low), _picked(corners, high)))
-    found = Separation(best.distance, np.column_stack((best.x, best.y)))
+    found = _as_separation(best)
     open_pairs = np.flatnonzero(~(left_out <= best.distance))
     if open_pairs.size:
         found.distance[open_pairs], found.axis[open_pairs] = _by_all_axes(
@@ -189,13 +189,20 @@ class _Along(NamedTuple):
 
 def _better(first: _Along, second: _Along) -> _Along:
     better = second.distance > first.distance
-    return _Along(*(np.where(better, b, a) for a, b in zip(first, second, strict=True)))
+    distance, x, y = (np.where(better, b, a) for a, b in zip(first, second, strict=True))
+    return _Along(distance, x, y)
+
+
+def _as_separation(along: _Along) -> Separation:
+    axis = np.empty((along.x.size, 2))
+    axis[:, 0], axis[:, 1] = along.x, along.y
+    return Separation(along.distance, axis)
 
 
 def _along_piece_normals(at: _Corners, pieces: ConvexPieces) -> _Along:
     heights = pieces.normal_x[:, None] * at.x + pieces.normal_y[:, None] * at.y  # (k, v, m)
     gaps = heights.min(axis=1) - pieces.offsets  # (k, m)
-    best, pair = np.argmax(gaps, axis=0), np.arange(gaps.shape[1])
+    best, pair = gaps.argmax(axis=0), np.arange(gaps.shape[1])
     return _Along(gaps[best, pair], pieces.normal_x[best, pair], pieces.normal_y[best, pair])
 
 
@@ -207,7 +214,7 @@ def _along_body_normals(
     local_x, local_y = c * x + s * y, c * y - s * x  # (k, m)
     heights = body.normals[:, 0, None, None] * local_x + body.normals[:, 1, None, None] * local_y  # (v, k, m)
     gaps = heights.min(axis=1) - body.offsets[:, None]  # (v, m)
-    best, pair = np.argmax(gaps, axis=0), np.arange(gaps.shape[1])
+    best, pair = gaps.argmax(axis=0), np.arange(gaps.shape[1])
     normal_x, normal_y = body.normals[best].T
     return _Along(gaps[best, pair], s * normal_y - c * normal_x, -s * normal_x - c * normal_y)
 
@@ -221,7 +228,7 @@ def _along_nearest_vertices(
     dx = (first.x[:, None] - second.x).reshape(shape)  # (v k, m)
     dy = (first.y[:, None] - second.y).reshape(shape)
     squared = dx * dx + dy * dy
-    best, pair = np.argmin(squared, axis=0), np.arange(shape[1])
+    best, pair = squared.argmin(axis=0), np.arange(shape[1])
     length = np.sqrt(squared[best, pair])
     scale = 1.0 / np.maximum(length, 1e-300)
     x, y = dx[best, pair] * scale, dy[best, pair] * scale

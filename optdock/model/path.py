@@ -6,7 +6,6 @@ Curvature is d yaw / d s, positive if the yaw increases along the travel. A path
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -87,7 +86,7 @@ class Path(FrozenArrays):
             if type(segment) not in (ClothoidSegment, PolylineSegment, TurnSegment):
                 kinds, found = "a ClothoidSegment, a PolylineSegment or a TurnSegment", type(segment).__name__
                 raise InvalidPath(f"path: segment {i} must be {kinds}, got {found}")
-        starts = readonly(np.concatenate(([0.0], np.cumsum([segment.length for segment in segments]))))
+        starts = readonly(np.array([0.0, *itertools.accumulate([segment.length for segment in segments])]))
         # str.__str__ reduces an instance of a subclass to the plain string.
         vars(self).update(segments=segments, frame=str.__str__(self.frame), segment_starts=starts)
 
@@ -132,7 +131,7 @@ class Path(FrozenArrays):
             return self
         if not may_be_one_frame(self.frame, frame):
             raise InvalidPath(f"path: is in frame {self.frame!r}, not in {frame!r}; transform it first")
-        return dataclasses.replace(self, frame=frame)
+        return Path(self.segments, frame)
 
     def __repr__(self) -> str:
         gears = ", ".join(segment.direction.name.lower().replace("_", " ") for segment in self.segments)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.errors import InvalidPath, InvalidValue
-from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly, vector
 from optdock.geometry.checked import exactly, finite_number, member
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2, check_range, transform_points, unwrap_yaw
@@ -89,7 +89,7 @@ class ClothoidSegment(FrozenArrays):
     @property
     def direction(self) -> Direction:
         """Gear of the segment."""
-        return Direction(self.spline.sign)
+        return Direction.FORWARD if self.spline.sign > 0 else Direction.REVERSE
 
     @property
     def length(self) -> float:
@@ -146,11 +146,13 @@ class PolylineSegment(FrozenArrays):
         check_range(poses, "path")
         poses[:, 2] = unwrap_yaw(poses[:, 2])
         vars(self).update(poses=readonly(poses), direction=direction)
-        knots = np.concatenate(([0.0], np.cumsum(_step_arcs(poses)[1])))
-        curvature = self.step_curvature
+        knots, nodes, (turn, arc) = np.zeros(len(poses)), np.empty(len(poses)), _step_arcs(poses)
+        arc.cumsum(out=knots[1:])
+        curvature = _step_curvature(turn, arc)
+        nodes[0], nodes[-1] = curvature[0], curvature[-1]
         with np.errstate(invalid="ignore"):
-            inner = 0.5 * (curvature[:-1] + curvature[1:])
-        nodes = np.concatenate((curvature[:1], np.where(np.isnan(inner), np.inf, inner), curvature[-1:]))
+            nodes[1:-1] = 0.5 * (curvature[:-1] + curvature[1:])
+        nodes[np.isnan(nodes)] = np.inf
         vars(self).update(knots=readonly(knots), node_curvature=readonly(nodes))
 
     def __repr__(self) -> str:
@@ -164,10 +166,7 @@ class PolylineSegment(FrozenArrays):
     @property
     def step_curvature(self) -> FloatArray:
         """Turn divided by arc length of every step, Shape (n - 1,) [1/m]; infinite for steps without length."""
-        turn, arc = _step_arcs(self.poses)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio: FloatArray = np.where(turn == 0.0, 0.0, turn / arc)
-        return ratio
+        return _step_curvature(*_step_arcs(self.poses))
 
     @property
     def step_swing(self) -> FloatArray:
@@ -185,19 +184,22 @@ class PolylineSegment(FrozenArrays):
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Interpolate the given poses linearly. Shape (n, 3)."""
-        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
-        return np.column_stack([np.interp(points, self.knots, self.poses[:, i]) for i in range(3)])
+        points, knots = vector(s), self.knots
+        poses = np.empty((points.size, 3))
+        for i, column in enumerate(self.poses.T):
+            poses[:, i] = np.interp(points, knots, column)
+        return poses
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
         """Interpolate the mean curvatures of the adjacent steps at the poses. Shape (n,) [1/m]."""
-        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
-        finite = np.where(np.isfinite(self.node_curvature), self.node_curvature, np.sign(self.node_curvature) * 1e9)
-        curvature: FloatArray = np.interp(points, self.knots, finite)
-        return curvature
+        nodes = self.node_curvature
+        if not np.isfinite(nodes).all():
+            nodes = np.where(np.isfinite(nodes), nodes, np.sign(nodes) * 1e9)
+        return np.interp(vector(s), self.knots, nodes)
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
         """Return the slope of `curvature_at`, Shape (n,) [1/m^2]."""
-        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        points = vector(s)
         kept = np.flatnonzero(np.diff(self.knots, prepend=-1.0) > 0.0)
         if kept.size < 2:
             return np.zeros(points.size)
@@ -256,7 +258,7 @@ class TurnSegment(FrozenArrays):
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Return the poses at `s`. Shape (n, 3)."""
-        points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
+        points = np.clip(vector(s), 0.0, self.length)
         poses = np.tile(self.pose.as_array(), (points.size, 1))
         poses[:, 2] += math.copysign(1.0 / TURN_RADIUS, self.turn) * points
         return poses
@@ -306,9 +308,19 @@ def moved_segment(segment: Segment, move: Pose2) -> Segment:
 
 def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the turn [rad] and arc length [m] of every step."""
-    step = np.diff(poses, axis=0)
-    chord, turn = np.hypot(step[:, 0], step[:, 1]), step[:, 2]
-    half = np.clip(0.5 * np.abs(turn), 0.0, 0.5 * np.pi)
-    arc = chord / np.sinc(half / np.pi)
-    turn = np.where(np.abs(turn) > SAME_YAW, turn, np.where(arc > 0.0, turn, 0.0))
-    return turn, np.where(chord > SAME_POSITION, arc, 0.0)
+    dx, dy, turn = (poses[1:] - poses[:-1]).T
+    chord, swept = np.hypot(dx, dy), np.abs(turn)
+    half = np.pi * (np.minimum(0.5 * swept, 0.5 * np.pi) / np.pi)
+    half[half == 0.0] = 1e-20  # the limit of the ratio of half and sine
+    arc = chord / (np.sin(half) / half)
+    turn[(swept <= SAME_YAW) & (arc <= 0.0)] = 0.0
+    arc[chord <= SAME_POSITION] = 0.0
+    return turn, arc
+
+
+def _step_curvature(turn: FloatArray, arc: FloatArray) -> FloatArray:
+    """Return turn / arc of every step, infinite for steps without length that turn. Shape (n,) [1/m]."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = turn / arc
+    ratio[turn == 0.0] = 0.0
+    return ratio

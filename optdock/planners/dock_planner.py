@@ -9,6 +9,7 @@ import numpy as np
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.geometry.obstacles import in_words
 from optdock.model.dock import DockDirection
+from optdock.model.segments import PolylineSegment
 from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, TwoSegmentPlan, plan_two_segment
 from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, never_cancelled
 
@@ -103,7 +104,7 @@ class DockPlanner(GlobalPlanner):
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
     """Check that no obstacle lies on the path of the robot's origin, as the curve sampler checks the costmap."""
-    points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
+    points = np.concatenate([segment.poses[:, :2] for segment in path.segments if isinstance(segment, PolylineSegment)])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)
     if blocked.size:

@@ -29,7 +29,7 @@ from optdock.errors import (
 )
 from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.nurbs import Nurbs
+from optdock.geometry.nurbs import Nurbs, shares
 from optdock.geometry.pose import unwrap_yaw
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction, Path, PolylineSegment
@@ -285,8 +285,10 @@ def plan_two_segment(
         cancel_checker=cancel_checker,
     )
     middle = 0.5 * (axis.point_c + axis.point_f)
-    centreline = sampler.poses(np.array([axis.point_c, middle, axis.point_f]), Direction.FORWARD, "the centreline")
-    joint = find_joint(np.array([start.x, start.y]), centreline[:, :2], axis.angle_threshold)
+    _, centreline = sampler.points(
+        Nurbs(np.array([axis.point_c, middle, axis.point_f]), sampler.degree), "the centreline"
+    )
+    joint = find_joint(np.array([start.x, start.y]), centreline, axis.angle_threshold)
     gear = Direction(-axis.direction) if joint.dir is JointKind.AWAY else axis.direction
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
@@ -346,9 +348,13 @@ class CurveSampler:
             PlannerCancelled: If the cancel checker returned True.
         """
         curve = Nurbs(control_points, degree=self.degree)
-        u = np.linspace(0.0, 1.0, self._count(curve, name) + 1, dtype=np.float64)
-        chunks = [self._chunk(curve, u[i : i + _CHUNK], direction, name) for i in range(0, u.size, _CHUNK)]
-        found = np.concatenate(chunks)
+        u, points = self.points(curve, name)
+        found = np.empty((u.size, 3))
+        found[:, :2] = points
+        found[:, 2] = curve.tangent_yaw_at(u) + (math.pi if direction is Direction.REVERSE else 0.0)
+        is_finite = np.isfinite(found).all(axis=1)
+        if not is_finite.all():
+            found = found[is_finite]
         if len(found) < 2:
             raise NoValidPathCouldBeFound(
                 f"dock planner: {name} is empty: only {len(found)} of {u.size} samples are finite; its control points "
@@ -357,6 +363,22 @@ class CurveSampler:
             )
         found[-1, 2] = found[-2, 2]
         return found
+
+    def points(self, curve: Nurbs, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return parameters from 0 to 1, Shape (m,), and the points of a curve there, Shape (m, 2); see `poses`.
+
+        Raises:
+            NoValidPathCouldBeFound: If a sample is blocked, or more than MAX_SAMPLES are needed.
+            PlannerCancelled: If the cancel checker returned True.
+        """
+        u = shares(self._count(curve, name))
+        points = np.empty((u.size, 2))
+        for some in (slice(i, i + _CHUNK) for i in range(0, u.size, _CHUNK)):
+            if self.cancel_checker():
+                raise PlannerCancelled(f"dock planner: cancelled while sampling {name}")
+            points[some] = curve.points_at(u[some])
+            self._check_free(points[some], name)
+        return u, points
 
     def _count(self, curve: Nurbs, name: str) -> int:
         steps = max(curve.speed_bound / self.resolution, (1.0 - 1e-6) / self.step)
@@ -368,15 +390,6 @@ class CurveSampler:
                 where={"step": name, "samples": steps, "resolution": self.resolution},
             )
         return math.ceil(steps * (1.0 + 1e-9))  # rounding must not lift a spacing above the resolution
-
-    def _chunk(self, curve: Nurbs, u: FloatArray, direction: Direction, name: str) -> FloatArray:
-        if self.cancel_checker():
-            raise PlannerCancelled(f"dock planner: cancelled while sampling {name}")
-        points = curve.points_at(u)
-        self._check_free(points, name)
-        yaw = curve.tangent_yaw_at(u) + (math.pi if direction is Direction.REVERSE else 0.0)
-        poses = np.column_stack((points, yaw))
-        return poses[np.all(np.isfinite(poses), axis=1)]
 
     def _check_free(self, points: FloatArray, name: str) -> None:
         if self.costmap is None:
@@ -483,10 +496,11 @@ def _assembled(
     start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
 ) -> Path:
     """Join start, both segments and goal; repeated positions are dropped, except for the goal."""
-    head = _without_repeats(np.vstack((start.as_array(), parts[0])))
-    tail = _without_repeats(np.vstack((head[-1], parts[1])))[1:]
-    apart = np.hypot(*(tail[:, :2] - goal.as_array()[:2]).T) > _SAME_POSITION
-    poses = np.vstack((head, tail[apart], goal.as_array()))
+    first, last = start.as_array()[None], goal.as_array()[None]
+    head = _without_repeats(np.concatenate((first, parts[0])))
+    tail = _without_repeats(np.concatenate((head[-1:], parts[1])))[1:]
+    apart = np.hypot(*(tail[:, :2] - last[:, :2]).T) > _SAME_POSITION
+    poses = np.concatenate((head, tail[apart], last))
     poses[:, 2] = unwrap_yaw(poses[:, 2])
     joint = len(head) - 1
     if gears[0] is gears[1] or joint == 0:
@@ -495,6 +509,7 @@ def _assembled(
 
 
 def _without_repeats(poses: FloatArray) -> FloatArray:
-    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    kept: FloatArray = poses[np.concatenate(([True], step > _SAME_POSITION))]
-    return kept
+    kept = np.ones(len(poses), dtype=np.bool_)
+    kept[1:] = np.hypot(*(poses[1:, :2] - poses[:-1, :2]).T) > _SAME_POSITION
+    found: FloatArray = poses[kept]
+    return found

@@ -6,6 +6,7 @@ gear. Sequences are padded with arcs of length zero to a common number of column
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "joined"]
+__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "first_free", "joined"]
 
 _NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
@@ -32,10 +33,20 @@ _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; block
 def advance(poses: FloatArray, length: FloatArray, curvature: FloatArray) -> FloatArray:
     """Return the poses at the ends of arcs that begin at `poses`, Shape (..., 3); the arguments are broadcast."""
     turn = length * curvature
-    chord = length * np.sinc(turn / (2.0 * np.pi))
-    middle = poses[..., 2] + 0.5 * turn
-    x, y = poses[..., 0] + chord * np.cos(middle), poses[..., 1] + chord * np.sin(middle)
-    return np.stack((x, y, poses[..., 2] + turn), axis=-1)
+    chord, middle = _chord(length, turn), poses[..., 2] + 0.5 * turn
+    ends = np.empty((*middle.shape, 3))
+    ends[..., 0] = poses[..., 0] + chord * np.cos(middle)
+    ends[..., 1] = poses[..., 1] + chord * np.sin(middle)
+    ends[..., 2] = poses[..., 2] + turn
+    return ends
+
+
+def _chord(length: FloatArray, turn: FloatArray) -> FloatArray:
+    """Return the signed distances between the ends of arcs with signed lengths [m] and turns [rad]."""
+    share = turn / (2.0 * np.pi)
+    half = np.pi * np.where(share == 0.0, 1e-20, share)
+    chord: FloatArray = length * (np.sin(half) / half)
+    return chord
 
 
 class Arcs(NamedTuple):
@@ -51,16 +62,22 @@ class Arcs(NamedTuple):
 
     def joints(self) -> FloatArray:
         """Return the poses at the beginning of every arc and at the end of the last. Shape (n, k + 1, 3)."""
-        poses = [self.start]
-        for length, curvature in zip(self.lengths.T, self.curvatures.T, strict=True):
-            poses.append(advance(poses[-1], length, curvature))
-        return np.stack(poses, axis=1)
+        turns = self.lengths * self.curvatures
+        poses = np.empty((len(turns), turns.shape[1] + 1, 3))
+        poses[:, 0], places, yaws = self.start, poses[..., :2], poses[..., 2]
+        yaws[:, 1:] = turns
+        yaws.cumsum(axis=1, out=yaws)
+        chord, middle = _chord(self.lengths, turns), yaws[:, :-1] + 0.5 * turns
+        places[:, 1:, 0] = chord * np.cos(middle)
+        places[:, 1:, 1] = chord * np.sin(middle)
+        places.cumsum(axis=1, out=places)
+        return poses
 
     def poses_at_shares(self, shares: FloatArray) -> FloatArray:
         """Return poses at shares of the total length of each sequence, Shape (q,) in [0, 1]. Shape (n, q, 3)."""
-        ends = np.cumsum(np.abs(self.lengths), axis=1)
+        ends = np.abs(self.lengths).cumsum(axis=1)
         s = ends[:, -1:] * shares
-        owner = (s[:, :, None] > ends[:, None, :]).sum(axis=2).clip(max=self.lengths.shape[1] - 1)
+        owner = (s[:, :, None] > ends[:, None, :-1]).sum(axis=2)
         row = np.arange(len(self.lengths))[:, None]
         before = ends[row, owner] - np.abs(self.lengths[row, owner])
         driven = np.copysign(s - before, self.lengths[row, owner])
@@ -69,27 +86,33 @@ class Arcs(NamedTuple):
     def poses_every(self, spacing: float) -> FloatArray:
         """Return poses of a single sequence at most `spacing` [m] apart, including all joints. Shape (q, 3)."""
         assert len(self.lengths) == 1
-        joints, lengths, curvatures = self.joints()[0], self.lengths[0], self.curvatures[0]
-        counts = np.where(np.abs(lengths) > _NOTHING, np.ceil(np.abs(lengths) / spacing - 1e-9), 0).astype(np.int64)
-        owner = np.repeat(np.arange(counts.size), counts)
-        rank = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        inner = advance(joints[owner], lengths[owner] * rank / counts[owner], curvatures[owner])
-        return np.concatenate((inner, joints[-1:]))
+        joints = self.joints()[0]
+        return np.concatenate((self._before_ends(joints, spacing)[0], joints[-1:]))
+
+    def _before_ends(self, joints: FloatArray, spacing: float) -> tuple[FloatArray, IntArray]:
+        """Return the poses of a single sequence without the ends of its arcs, (q, 3), and their numbers per arc."""
+        lengths, curvatures = self.lengths[0], self.curvatures[0]
+        size = np.abs(lengths)
+        counts = np.where(size > _NOTHING, np.ceil(size / spacing - 1e-9), 0.0).astype(np.int64)
+        owner = np.arange(counts.size).repeat(counts)
+        rank = np.arange(owner.size) - (counts.cumsum() - counts)[owner]
+        return advance(joints[owner], lengths[owner] * rank / counts[owner], curvatures[owner]), counts
 
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
         """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
         assert len(self.lengths) == 1
-        lengths, curvatures, joints = self.lengths[0], self.curvatures[0], self.joints()[0]
-        kept = np.flatnonzero(np.abs(lengths) > _NOTHING)
-        gears = np.sign(lengths[kept])
-        runs = np.split(kept, np.flatnonzero(np.diff(gears)) + 1)
-        blocks = [
-            Arcs(joints[None, run[0]], lengths[None, run], curvatures[None, run]).poses_every(spacing) for run in runs
-        ]
-        blocks[-1][-1, :2] = end[:2]
-        blocks[-1][-1, 2] = end[2] + 2.0 * np.pi * np.round((blocks[-1][-1, 2] - end[2]) / (2.0 * np.pi))
-        signs = [Direction(int(np.sign(lengths[run[0]]))) for run in runs]
-        return Path(tuple(PolylineSegment(block, sign) for block, sign in zip(blocks, signs, strict=True)), frame)
+        joints = self.joints()[0]
+        poses, counts = self._before_ends(joints, spacing)
+        moving = counts.nonzero()[0]
+        ahead = self.lengths[0, moving] > 0.0
+        last = np.append((ahead[1:] != ahead[:-1]).nonzero()[0], moving.size - 1)  # the last arc of each gear
+        ends, cuts = joints[moving[last] + 1], counts.cumsum()[moving[last]].tolist()
+        ends[-1, :2] = end[:2]
+        ends[-1, 2] = end[2] + 2.0 * np.pi * np.round((ends[-1, 2] - end[2]) / (2.0 * np.pi))
+        spans = itertools.pairwise([0, *cuts])
+        blocks = [np.concatenate((poses[a:b], ends[i : i + 1])) for i, (a, b) in enumerate(spans)]
+        gears = [Direction.FORWARD if forward else Direction.REVERSE for forward in ahead[last].tolist()]
+        return Path(tuple(PolylineSegment(block, gear) for block, gear in zip(blocks, gears, strict=True)), frame)
 
 
 class Moves(NamedTuple):
@@ -266,6 +289,35 @@ def are_free(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, 
     begins = np.cumsum([0, *(len(block) for block in blocks[:-1])])
     found: BoolArray = np.logical_and.reduceat(free, begins)
     return found
+
+
+_FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=1)
+
+
+def _first_free_native(
+    arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace, limits: tuple[float, float]
+) -> int:
+    (n, count), first = arcs.lengths.shape, np.full(1, len(arcs.lengths))
+    if len(space.obstacles) == 0:
+        return 0
+    columns = [(np.ascontiguousarray(column), column.size) for column in (*arcs, shares)]
+    space.check(_FIRST_KERNEL, (n, count, shares.size), (spacing,), (*columns, (first, 1)), limits)
+    return int(first[0])
+
+
+@twin_of(_first_free_native)
+def first_free(arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> int:
+    """Return the row of the first free sequence, or the number of sequences if none is free.
+
+    The sequences are checked at `shares` of their lengths, Shape (q,), ascending; those that pass as by `are_free`.
+    """
+    poses = arcs.poses_at_shares(shares)
+    passed = space.is_free(poses.reshape(-1, 3), *limits).reshape(poses.shape[:2]).all(axis=1)
+    for row in np.flatnonzero(passed).tolist():
+        space.poll()
+        if are_free(arcs.rows(slice(row, row + 1)), spacing, space, limits)[0]:
+            return int(row)
+    return len(arcs.lengths)
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:

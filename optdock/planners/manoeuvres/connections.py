@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.kernels import Kernel, twin_of
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import Arcs, are_free, joined
+from optdock.planners.manoeuvres.arcs import Arcs, are_free, first_free, joined
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.arcs import ArcTree
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
@@ -26,7 +28,6 @@ __all__ = [
     "all_pairs",
     "cheapest_words",
     "connections",
-    "end_gears",
     "free_manoeuvres",
     "is_wholly_free",
     "promising",
@@ -77,60 +78,88 @@ class TreeNodes(NamedTuple):
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
     """Return the cheapest words between pairs of nodes, in gears allowed at both ends, without a collision check."""
     problem, (leaving, i), (arriving, j) = space.problem, exits, entries
-    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
+    words = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
+    i, j, begins, ends = i[words.pair], j[words.pair], words.begins, words.ends
     # With the gears in which the nodes are left and reached, cusps at the joints are also counted.
-    gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
-    prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
-    prices += stopping_cost(problem.robot.limits) * gear_changes(gears)
-    first, last = end_gears(gears)
+    before, after = leaving.signs[i], -arriving.signs[j]
+    stays = begins == 0.0
+    changes = words.changes + (before * begins < 0.0) + (ends * after < 0.0) + (stays & (before * after < 0.0))
+    prices = words.driven + leaving.prices[i] + arriving.prices[j]
+    prices += stopping_cost(problem.robot.limits) * changes
+    first = np.where(before != 0.0, before, np.where(stays, after, begins))
+    last = np.where(after != 0.0, after, np.where(stays, before, ends))
     allowed = first != 0.0
     wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
     if wanted is not None:
         allowed &= last * wanted > 0.0
     if problem.start_speed != 0.0:
         allowed &= first * problem.start_speed > 0.0
-    kept = np.flatnonzero(allowed)
-    kept = kept[np.argsort(prices[kept], kind="stable")]
-    return Connections(prices[kept], i[pair[kept]], j[pair[kept]], lengths[kept], curvatures[kept])
+    kept = allowed.nonzero()[0]
+    kept = kept[prices[kept].argsort(kind="stable")]
+    return Connections(prices[kept], i[kept], j[kept], words.lengths[kept], words.curvatures[kept])
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
     """Return the pairs of each node of the first tree with each node of the second."""
-    i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
-    return TreeNodes(exits.tree, i), TreeNodes(entries.tree, j)
+    i, j = exits.rows, entries.rows
+    return TreeNodes(exits.tree, i.repeat(j.size)), TreeNodes(entries.tree, np.tile(j, i.size))
 
 
 class PairWords(NamedTuple):
-    """Words between poses: index of the pair and price at full speed [s], (m,); lengths and curvatures, (m, 5)."""
+    """Words between poses in ascending order of the pair and the price.
+
+    `pair`: index of the pair, `driven`: price at full speed [s], `begins`, `ends`: gears of the first and the last
+    motion, 0 without motion, `changes`: number of gear changes, Shape (m,). `lengths`, `curvatures`: Shape (m, 5).
+    """
 
     pair: IntArray
     driven: FloatArray
+    begins: FloatArray
+    ends: FloatArray
+    changes: FloatArray
     lengths: FloatArray
     curvatures: FloatArray
 
 
 def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, space: FreeSpace, per_pair: int) -> PairWords:
     """Return for every pair of poses, Shape (n, 3) each, at most `per_pair` words that are cheapest at full speed."""
-    blocks = [PairWords(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 5)), np.zeros((0, 5)))]
-    for k in range(0, len(starts), _PAIRS):
+    blocks = []
+    for k in range(0, max(len(starts), 1), _PAIRS):
         space.poll()
         words = reeds_shepp_words(starts[k : k + _PAIRS], ends[k : k + _PAIRS], radius)
-        with np.errstate(invalid="ignore"):
-            driven = driving_prices(words, space.problem.robot).sum(axis=2)
-        driven = np.where(np.isnan(driven), np.inf, driven)
-        few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
-        columns = np.arange(driven.shape[1])
-        is_one = np.isfinite(driven[few, columns])
-        pair, form = np.broadcast_to(columns, few.shape)[is_one], few[is_one]
-        blocks.append(PairWords(k + pair, driven[form, pair], words[form, pair], TURNS[form] / radius))
-    return PairWords(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
+        found = _cheapest(words, radius, space.problem.robot, per_pair)
+        blocks.append(found._replace(pair=k + found.pair) if k else found)
+    return blocks[0] if len(blocks) == 1 else PairWords(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
 
 
-def end_gears(lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the signs of the first and the last nonzero signed length, Shape (n, k) to (n,); 0 if there is none."""
+_WORDS_KERNEL = Kernel("optdock_cheapest_words", sizes=2, numbers=4)
+
+
+def _cheapest_native(words: FloatArray, radius: float, robot: Robot, per_pair: int) -> PairWords:
+    n, limits = words.shape[1], robot.limits
+    most = n * per_pair
+    pair, driven, gears = np.empty(most, dtype=np.int64), np.empty(most), np.empty((most, 3))
+    lengths, curvatures = np.empty((most, 5)), np.empty((most, 5))
+    outputs = ((part, part.size) for part in (pair, driven, gears, lengths, curvatures))
+    numbers = limits.max_speed, limits.max_reverse_speed, robot.reverse_price, radius
+    found = _WORDS_KERNEL((n, per_pair), numbers, ((words, 5 * len(TURNS) * n), (TURNS, TURNS.size), *outputs))
+    begins, ends, changes = gears[:found].T
+    return PairWords(pair[:found], driven[:found], begins, ends, changes, lengths[:found], curvatures[:found])
+
+
+@twin_of(_cheapest_native)
+def _cheapest(words: FloatArray, radius: float, robot: Robot, per_pair: int) -> PairWords:
+    """Return at most `per_pair` of the words, Shape (44, n, 5), of each pair; see `cheapest_words`."""
+    driven: FloatArray = sum(np.moveaxis(driving_prices(words, robot), 2, 0), np.zeros(words.shape[:2]))
+    few = np.where(np.isnan(driven), np.inf, driven).argsort(axis=0, kind="stable")[:per_pair].T
+    pair, rank = np.nonzero(np.isfinite(driven[few, np.arange(len(few))[:, None]]))
+    form = few[pair, rank]
+    lengths = words[form, pair]
     signs = np.where(np.abs(lengths) > _NOTHING, np.sign(lengths), 0.0)
     rows, is_moving = np.arange(len(signs)), signs != 0.0
-    return signs[rows, is_moving.argmax(axis=1)], signs[rows, -1 - is_moving[:, ::-1].argmax(axis=1)]
+    begins, ends = signs[rows, is_moving.argmax(axis=1)], signs[rows, -1 - is_moving[:, ::-1].argmax(axis=1)]
+    changes = gear_changes(lengths).astype(np.float64)
+    return PairWords(pair, driven[form, pair], begins, ends, changes, lengths, TURNS[form] / radius)
 
 
 def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:
@@ -154,27 +183,19 @@ def free_manoeuvres(
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
     """Yield collision-free manoeuvres from start to goal in ascending order of price, up to `worthwhile()`."""
-    for k in range(0, found.prices.size, _BATCH):
+    limits, spacing, row = (effort.margin, effort.start_relief), space.spacing(effort), 0
+    while row < (last := int(found.prices.searchsorted(worthwhile()))):
         space.poll()
-        if found.prices[k] >= worthwhile():
-            return
-        some = slice(k, k + _BATCH)
+        some = slice(row, min(row + _BATCH, last))
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
-        coarse = words.poses_at_shares(_COARSE)
-        limits = effort.margin, effort.start_relief
-        passed = space.is_free(coarse.reshape(-1, 3), *limits).reshape(coarse.shape[:2]).all(axis=1)
-        for row in np.flatnonzero(passed).tolist():
-            space.poll()
-            if found.prices[k + row] >= worthwhile():
-                return
-            word = words.rows(slice(row, row + 1))
-            if not are_free(word, space.spacing(effort), space, limits)[0]:
-                continue
-            r = k + row
-            way_out, way_in = exits.way(int(found.exits[r])), entries.way(int(found.entries[r]))
-            whole = joined(space.problem.start.as_array(), way_out, (found.lengths[r], found.curvatures[r]), way_in)
-            if is_wholly_free(whole, space, effort):
-                yield whole
+        row += first_free(words, _COARSE, spacing, space, limits)
+        if row == some.stop:
+            continue
+        way_out, way_in = exits.way(int(found.exits[row])), entries.way(int(found.entries[row]))
+        whole = joined(space.problem.start.as_array(), way_out, (found.lengths[row], found.curvatures[row]), way_in)
+        row += 1
+        if is_wholly_free(whole, space, effort):
+            yield whole
 
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:

@@ -1,4 +1,4 @@
-"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest routes of a disc."""
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import transform_points
 from optdock.kernels import Kernel, twin_of
 
@@ -16,13 +15,10 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.obstacles import ObstacleSet
 
-__all__ = ["DiscStates", "Discs", "DistanceField", "Wavefront", "disc_states"]
+__all__ = ["TILE", "DiscStates", "Discs", "DistanceField", "disc_states"]
 
-_TILE = 32  # grid points along the side of a tile
+TILE = 32  # grid points along the side of a tile
 _BLOCK = 24  # obstacle pieces per vectorized evaluation of a tile
-_FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
-_EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
-_BESIDE = 0.75  # cells: half a diagonal, and rounding
 
 
 class DistanceField:
@@ -36,39 +32,38 @@ class DistanceField:
     def __init__(
         self, obstacles: ObstacleSet, square: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
     ) -> None:
-        self.tiles = int(np.ceil(square[2] / (spacing * _TILE) - 1e-9))
-        self.poll, self.side = poll, _TILE * self.tiles
+        self.tiles = int(np.ceil(square[2] / (spacing * TILE) - 1e-9))
+        self.poll, self.side = poll, TILE * self.tiles
         self.spacing, self.reach = spacing, reach
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
         self._slots = np.full(self.tiles**2, -1)  # index of the values of a tile; -1: not computed yet
         self._missing = np.empty_like(self._slots)
-        self._values = np.empty((16, _TILE, _TILE))
+        self._values = np.empty((16, TILE, TILE))
         self._count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the distances of points, Shape (..., 2) [m]; the lower bound is -inf outside the field."""
         scaled = (points - self.origin) / self.spacing
         cell = np.rint(scaled)
-        is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
-        index = np.clip(cell, 0, self.side - 1).astype(np.int64)
-        distance = self.at(index)
-        offset = scaled - cell
-        away = self.spacing * np.sqrt(np.einsum("...i,...i->...", offset, offset))
-        return np.where(is_inside, distance - away, -np.inf), distance + away
+        kept = np.minimum(np.maximum(cell, 0.0), self.side - 1.0)
+        distance = self.at(kept.astype(np.int64))
+        du, dv = np.moveaxis(scaled - cell, -1, 0)
+        away = self.spacing * np.sqrt(du * du + dv * dv)
+        return np.where((cell == kept).all(axis=-1), distance - away, -np.inf), distance + away
 
     def at(self, index: IntArray) -> FloatArray:
         """Return the distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
-        tile = (i // _TILE) * self.tiles + j // _TILE
+        tile = (i // TILE) * self.tiles + j // TILE
         slot = self._slots[tile]
         missing = slot < 0
         if missing.any():
             for one in np.unique(tile[missing]).tolist():
                 self._fill(one)
             slot = self._slots[tile]
-        values: FloatArray = self._values[slot, i % _TILE, j % _TILE]
+        values: FloatArray = self._values[slot, i % TILE, j % TILE]
         return values
 
     @property
@@ -83,8 +78,8 @@ class DistanceField:
             self._fill(tile)
 
     def _fill(self, tile: int) -> None:
-        first = np.array(divmod(tile, self.tiles)) * _TILE
-        axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
+        first = np.array(divmod(tile, self.tiles)) * TILE
+        axes = self.origin + (first + np.arange(TILE)[:, None]) * self.spacing
         self.poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach
         rows = self._obstacles.rows_in_box(low, high)
@@ -141,7 +136,7 @@ def _disc_states_native(field: DistanceField, discs: Discs, poses: FloatArray, r
             (states, n),
             (missing, slots.size),
         )
-        tiles = field.side // _TILE
+        tiles = field.side // TILE
         found = _DISC_KERNEL((n, count, tiles), (field.spacing, *field.origin.tolist()), arrays)
         if found == 0:
             return DiscStates((states & 1).astype(np.bool_), (states & 2).astype(np.bool_), states >= 4)
@@ -162,9 +157,9 @@ def _tile_values_native(
     obstacles: ObstacleSet, boxes: IntArray, others: IntArray, axes: FloatArray, reach: float
 ) -> FloatArray:
     k, b, p = obstacles.vertices.shape[1], boxes.size, others.size
-    values = np.empty((_TILE, _TILE))
+    values = np.empty((TILE, TILE))
     arrays = (
-        (axes, 2 * _TILE),
+        (axes, 2 * TILE),
         (obstacles.lower[boxes], 2 * b),
         (obstacles.upper[boxes], 2 * b),
         (obstacles.vertices[others], 2 * p * k),
@@ -181,7 +176,7 @@ def _tile_values(
     obstacles: ObstacleSet, boxes: IntArray, others: IntArray, axes: FloatArray, reach: float
 ) -> FloatArray:
     """Return the distances from the grid points of a tile, up to `reach` [m]; `axes`: Shape (32, 2), their x and y."""
-    best = np.full((_TILE, _TILE), reach)
+    best = np.full((TILE, TILE), reach)
     for some, distances in ((boxes, _to_boxes), (others, _to_polygons)):
         for k in range(0, some.size, _BLOCK):
             np.minimum(best, distances(obstacles, some[k : k + _BLOCK], axes), out=best)
@@ -227,58 +222,3 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
     distance = np.sqrt(squared)
     nearest: FloatArray = np.where(np.asarray(height) < 0.0, -distance, distance).min(axis=2)
     return nearest
-
-
-class Wavefront:
-    """Lengths of shortest routes around the obstacles for a disc of a given radius [m], from a source, Shape (2,) [m].
-
-    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, so the front is an
-    octagon. The number of steps is a lower bound of the length in cells and is too small by at most 11 %. The wave
-    advances on demand.
-    """
-
-    def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:
-        self._field, self._radius = field, radius
-        self._steps = np.full((field.side, field.side), np.inf)
-        self._front: IntArray = np.rint((source - field.origin) / field.spacing).astype(np.int64)[None]
-        self._steps[tuple(self._front.T)] = 0.0
-        self._count = 0
-
-    def lengths(self, points: FloatArray) -> FloatArray:
-        """Return lower bounds of the lengths of routes to points, Shape (n, 2) to (n,) [m]; infinite if none exists."""
-        field = self._field
-        index = np.clip(np.rint((points - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
-        rows, columns = index.T
-        while len(self._front) and np.isinf(self._steps[rows, columns]).any():
-            field.poll()
-            self._advance()
-        reached: FloatArray = np.maximum(self._steps[rows, columns] - 1.0, 0.0) * field.spacing
-        return reached
-
-    def way(self, point: FloatArray) -> FloatArray | None:
-        """Return the grid points of a shortest route to a point, Shape (2,), or None. Shape (n, 2) [m]."""
-        if np.isinf(self.lengths(point[None])[0]):
-            return None
-        field = self._field
-        cell = np.clip(np.rint((point - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
-        cells = [cell]
-        while self._steps[tuple(cell)] > 0.0:
-            around = np.clip(cell + _EIGHT, 0, field.side - 1)
-            cell = around[np.argmin(self._steps[tuple(around.T)])]
-            cells.append(cell)
-        way: FloatArray = field.origin + field.spacing * np.array(cells[::-1])
-        return way
-
-    def _advance(self) -> None:
-        around = _FOUR if self._count % 2 else _EIGHT
-        self._count += 1
-        cells = (self._front[:, None] + around).reshape(-1, 2)
-        inside = np.all((cells >= 0) & (cells < self._field.side), axis=1)
-        cells = cells[inside]
-        cells = cells[np.isinf(self._steps[cells[:, 0], cells[:, 1]])]
-        flat = np.unique(cells[:, 0] * self._field.side + cells[:, 1])
-        cells = np.column_stack(np.divmod(flat, self._field.side))
-        free = self._field.at(cells) + _BESIDE * self._field.spacing >= self._radius
-        cells = cells[free]
-        self._steps[cells[:, 0], cells[:, 1]] = self._count
-        self._front = cells

@@ -6,26 +6,35 @@
 #include <math.h>
 #include <stdint.h>
 
-#define TILE 32 /* grid points along the side of a tile */
+#define TILE 32       /* grid points along the side of a tile */
+#define ROUNDING 1e-9 /* [m]: more than the rounding of heights and distances */
 
 /* The larger and the smaller of two numbers; the field contains no NaN. */
 static double larger(double a, double b) { return a > b ? a : b; }
 
 static double smaller(double a, double b) { return a < b ? a : b; }
 
-/* Signed distance of a point from an axis-aligned box. */
-static double to_box(double px, double py, const double *low, const double *high)
+/* Signed distance of a point from an axis-aligned box, at most `nearest`. */
+static double to_box(double px, double py, const double *low, const double *high, double nearest)
 {
     double x = larger(low[0] - px, px - high[0]), y = larger(low[1] - py, py - high[1]);
     double right = larger(x, 0.0), up = larger(y, 0.0);
-    return sqrt(right * right + up * up) + smaller(larger(x, y), 0.0);
+    if (larger(x, y) >= nearest)
+        return nearest; /* the distance is not smaller */
+    return smaller(nearest, sqrt(right * right + up * up) + smaller(larger(x, y), 0.0));
 }
 
-/* Distance of a point from a polygon with k corners, negative inside: vertices and normals (k, 2), offsets (k,). */
+/* Distance of a point from a polygon with k corners, negative inside, at most `nearest`: vertices and normals (k, 2),
+ * offsets (k,). */
 static double to_polygon(double x, double y, int64_t k, const double *vertices, const double *normals,
-                         const double *offsets)
+                         const double *offsets, double nearest)
 {
     double squared = INFINITY, height = -INFINITY;
+    for (int64_t i = 0; i < k; i++) {
+        height = larger(height, normals[2 * i] * x + normals[2 * i + 1] * y - offsets[i]);
+        if (height > nearest + ROUNDING)
+            return nearest; /* the distance is not smaller */
+    }
     for (int64_t i = 0; i < k; i++) {
         const double *p = vertices + 2 * i, *q = vertices + 2 * ((i + 1) % k);
         double ex = q[0] - p[0], ey = q[1] - p[1];
@@ -33,9 +42,8 @@ static double to_polygon(double x, double y, int64_t k, const double *vertices, 
         share = smaller(larger(share, 0.0), 1.0);
         double dx = x - p[0] - share * ex, dy = y - p[1] - share * ey;
         squared = smaller(squared, dx * dx + dy * dy);
-        height = larger(height, normals[2 * i] * x + normals[2 * i + 1] * y - offsets[i]);
     }
-    return height < 0.0 ? -sqrt(squared) : sqrt(squared);
+    return smaller(nearest, height < 0.0 ? -sqrt(squared) : sqrt(squared));
 }
 
 /* Compute the values of a tile.
@@ -54,10 +62,9 @@ int64_t optdock_tile_values(int64_t boxes, int64_t polygons, int64_t k, double r
         for (int64_t j = 0; j < TILE; j++) {
             double x = axes[2 * i], y = axes[2 * j + 1], nearest = reach;
             for (int64_t o = 0; o < boxes; o++)
-                nearest = smaller(nearest, to_box(x, y, low + 2 * o, high + 2 * o));
+                nearest = to_box(x, y, low + 2 * o, high + 2 * o, nearest);
             for (int64_t o = 0; o < polygons; o++)
-                nearest = smaller(nearest, to_polygon(x, y, k, vertices + 2 * k * o, normals + 2 * k * o,
-                                                      offsets + k * o));
+                nearest = to_polygon(x, y, k, vertices + 2 * k * o, normals + 2 * k * o, offsets + k * o, nearest);
             values[TILE * i + j] = nearest;
         }
     }

@@ -14,7 +14,8 @@ import numpy as np
 
 from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
-from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, Wavefront, disc_states
+from optdock.planners.manoeuvres.disc_routes import Wavefront
+from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, disc_states
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 from optdock.verification.clearance_kernel import packed_footprint
 

@@ -1,6 +1,6 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
- * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, `_free_lengths` and `are_free`
- * of `arcs.py`, and `disc_states` of `distance_field.py`.
+ * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, `_free_lengths`, `are_free`
+ * and `first_free` of `arcs.py`, and `disc_states` of `distance_field.py`.
  *
  * The signed distance of convex polygons is the largest gap over the edge normals of both and the direction between the
  * nearest vertices, as in `geometry/separation.py`. Only guesses depend on this file; the certificate has code of its
@@ -326,6 +326,14 @@ static void advance(const double *from, double length, double curvature, double 
     to[2] = from[2] + turn;
 }
 
+/* Note where a check has stopped: the number of items done, and of the tiles that must be computed first. */
+static int64_t stopped(const Space *space, int64_t done, int64_t *progress)
+{
+    progress[0] = done;
+    progress[1] = space->missing_count;
+    return 0;
+}
+
 static int is_free_after(Space *space, const double *from, double length, double curvature)
 {
     double pose[3];
@@ -357,9 +365,7 @@ int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *
             break;
         free[i] = found;
     }
-    progress[0] = i;
-    progress[1] = space.missing_count;
-    return 0;
+    return stopped(&space, i, progress);
 }
 
 /* Collision-free lengths of arcs, those from `done` on; see `_free_lengths` of `arcs.py`.
@@ -401,9 +407,52 @@ int64_t optdock_free_lengths(int64_t n, int64_t count, int64_t bisections, int64
             break;
         lengths[i] = free;
     }
-    progress[0] = i;
-    progress[1] = space.missing_count;
-    return 0;
+    return stopped(&space, i, progress);
+}
+
+/* Whether a sequence of arcs is free at poses at most `spacing` apart and at all joints: 1 or 0, or -1 if tiles are
+ * missing; adds to the poses `checked`. */
+static int is_free_along(Space *space, const double *start, int64_t count, const double *lengths,
+                         const double *curvatures, double spacing, int64_t *checked)
+{
+    double joint[3] = {start[0], start[1], start[2]};
+    int found = 1;
+    for (int64_t j = 0; j < count && found == 1; j++) {
+        double length = fabs(lengths[j]), parts = length > 1e-9 ? ceil(length / spacing - 1e-9) : 0.0;
+        for (double rank = 0.0; rank < parts && found == 1; rank += 1.0, (*checked)++)
+            found = is_free_after(space, joint, lengths[j] * rank / parts, curvatures[j]);
+        advance(joint, lengths[j], curvatures[j], joint);
+    }
+    return found == 1 ? is_free(space, joint[0], joint[1], joint[2]) : found;
+}
+
+/* Whether a sequence of arcs is free at shares of its length, ascending; results and `checked` as `is_free_along`. */
+static int is_free_at_shares(Space *space, const double *start, int64_t count, const double *lengths,
+                             const double *curvatures, int64_t places, const double *shares, int64_t *checked)
+{
+    double joint[3] = {start[0], start[1], start[2]}, whole = 0.0, before = 0.0;
+    int found = 1;
+    int64_t j = 0;
+    for (int64_t k = 0; k < count; k++)
+        whole += fabs(lengths[k]);
+    for (int64_t k = 0; k < places && found == 1; k++, (*checked)++) {
+        double s = whole * shares[k];
+        for (; j < count - 1 && s > before + fabs(lengths[j]); j++) {
+            before += fabs(lengths[j]);
+            advance(joint, lengths[j], curvatures[j], joint);
+        }
+        found = is_free_after(space, joint, copysign(s - before, lengths[j]), curvatures[j]);
+    }
+    return found;
+}
+
+/* Prepare the check of a sequence of arcs: no pose is outside the box. */
+static void set_box_around(Space *space, const double *start, int64_t count, const double *lengths)
+{
+    double whole = 0.0;
+    for (int64_t j = 0; j < count; j++)
+        whole += fabs(lengths[j]);
+    set_box(space, start[0] - whole, start[1] - whole, start[0] + whole, start[1] + whole);
 }
 
 /* Whether sequences of arcs are free at poses at most `spacing` apart and at all joints, those from `done` on.
@@ -419,25 +468,42 @@ int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double sp
     Space space = SPACE;
     int64_t i, checked = 0;
     for (i = progress[0]; i < n && checked < most; i++) {
-        double joint[3] = {starts[3 * i], starts[3 * i + 1], starts[3 * i + 2]}, whole = 0.0;
-        int found = 1;
-        for (int64_t j = 0; j < count; j++)
-            whole += fabs(lengths[count * i + j]);
-        set_box(&space, joint[0] - whole, joint[1] - whole, joint[0] + whole, joint[1] + whole);
-        for (int64_t j = 0; j < count && found == 1; j++) {
-            double length = lengths[count * i + j], curvature = curvatures[count * i + j];
-            double parts = fabs(length) > 1e-9 ? ceil(fabs(length) / spacing - 1e-9) : 0.0;
-            for (double rank = 0.0; rank < parts && found == 1; rank += 1.0, checked++)
-                found = is_free_after(&space, joint, length * rank / parts, curvature);
-            advance(joint, length, curvature, joint);
-        }
-        if (found == 1)
-            found = is_free(&space, joint[0], joint[1], joint[2]);
+        const double *start = starts + 3 * i;
+        set_box_around(&space, start, count, lengths + count * i);
+        int found = is_free_along(&space, start, count, lengths + count * i, curvatures + count * i, spacing, &checked);
         if (found < 0)
             break;
         free[i] = found;
     }
-    progress[0] = i;
-    progress[1] = space.missing_count;
-    return 0;
+    return stopped(&space, i, progress);
+}
+
+/* The first sequence of arcs that is free at shares of its length, and then at poses at most `spacing` apart and at all
+ * joints, among those from `done` on.
+ *
+ *   n, count, places, most  numbers of sequences, of arcs of each, of shares, and of poses after which the call ends
+ *   spacing                 [m]
+ *   starts                  (n, 3); lengths, curvatures: (n, count); shares: (places,), ascending
+ *   first                   out, (1,), the row of the sequence if one is found, which ends the check
+ *   progress                in and out, (2,): sequences done, missing tiles */
+int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t most, double spacing, const double *starts,
+                           const double *lengths, const double *curvatures, const double *shares, int64_t *first,
+                           int64_t *progress, SPACE_PARAMETERS)
+{
+    Space space = SPACE;
+    int64_t i, checked = 0;
+    for (i = progress[0]; i < n && checked < most; i++) {
+        const double *start = starts + 3 * i, *along = lengths + count * i, *bends = curvatures + count * i;
+        set_box_around(&space, start, count, along);
+        int found = is_free_at_shares(&space, start, count, along, bends, places, shares, &checked);
+        if (found == 1)
+            found = is_free_along(&space, start, count, along, bends, spacing, &checked);
+        if (found < 0)
+            break;
+        if (found) {
+            first[0] = i;
+            i = n - 1;
+        }
+    }
+    return stopped(&space, i, progress);
 }

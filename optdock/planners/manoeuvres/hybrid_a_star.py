@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
-    from optdock.planners.manoeuvres.distance_field import Wavefront
+    from optdock.planners.manoeuvres.disc_routes import Wavefront
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 __all__ = ["FULL_LOCK", "PoseGrid", "hybrid_a_star"]

@@ -16,8 +16,10 @@ import numpy as np
 from pydantic import Field
 
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, promising
+from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres
+from optdock.planners.manoeuvres.disc_routes import elastic_band
 from optdock.planners.manoeuvres.end_trees import (
     BOTH,
     EXIT_TURN,
@@ -32,7 +34,7 @@ from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
-from optdock.planners.manoeuvres.roadmap import elastic_band, roadmap_ways
+from optdock.planners.manoeuvres.roadmap import roadmap_ways
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, never_cancelled
 from optdock.plugins.outcomes import Guess
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from optdock.planners.manoeuvres.arcs import Arcs
-    from optdock.planners.manoeuvres.distance_field import Wavefront
+    from optdock.planners.manoeuvres.disc_routes import Wavefront
     from optdock.planners.manoeuvres.turns import TurnSearch
 
 __all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters", "Stages"]
@@ -62,6 +64,7 @@ _STAGED = 4  # most straight runs out of a dock along a wall at whose ends arcs 
 _TRIES = 4  # most different guesses per stage
 _WORDS_PER_PAIR = 12  # words from the start to each staging pose
 _SAMPLING = 40.0  # poses of a path per turning radius
+_PLACES = readonly(np.linspace(0.0, 1.0, 17))  # shares of manoeuvres at which they are compared
 
 
 class ManoeuvrePlannerParameters(PluginParameters):
@@ -278,7 +281,6 @@ class Stages:
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
         ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
-        found = promising(found, start, self.space)
         ways_in = free_manoeuvres(found, start, staging.tree, self.space, effort, self._better_than)
         yield from self._offered("Reeds-Shepp", ways_in)
 
@@ -327,7 +329,7 @@ class Stages:
         if len(exits) - 1 == away.size and len(entries) - before == there.size:
             return  # full lock is free from the beginning
         pairs = all_pairs(TreeNodes(exits, np.append(0, away)), TreeNodes(entries, np.concatenate((rows, there))))
-        found = promising(connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), exits, self.space)
+        found = connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR)
         ways = free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
         yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # all tries share the arcs along the walls
 
@@ -370,10 +372,11 @@ class Stages:
         """Yield the first few paths that differ from all earlier paths and may be cheaper than the best plan."""
         offered = 0
         for arcs in found:
-            path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
-            if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
+            is_cheaper = least_prices(arcs.lengths, self.problem)[0] < self._better_than()
+            if not is_cheaper or not self._is_another_way(arcs):
                 continue
             offered += 1
+            path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:
                 return
@@ -384,7 +387,7 @@ class Stages:
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a manoeuvre differs from all manoeuvres yielded before by more than half the width of the robot."""
-        places = arcs.poses_at_shares(np.linspace(0.0, 1.0, 17))[0, :, :2]
+        places = arcs.poses_at_shares(_PLACES)[0, :, :2]
         near = 0.5 * self.problem.robot.footprint.width
         if any(np.abs(places - other).max() < near for other in self._known):
             return False

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.kernels import Kernel, twin_of
 from optdock.model.dock import DockDirection
-from optdock.model.segments import TurnSegment
+from optdock.model.segments import Direction, TurnSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -44,8 +45,8 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
         duration: Duration of the motion along the path [s].
         robot: Robot with the `reverse_price`.
     """
-    gears = np.array([one.direction * one.length for one in path.segments if not isinstance(one, TurnSegment)])
-    return duration + CUSP_PRICE * stops(path) + float(_reversing(gears, robot).sum())
+    reversing = sum(robot.reverse_price * one.length for one in path.segments if one.direction is Direction.REVERSE)
+    return duration + CUSP_PRICE * stops(path) + reversing
 
 
 def least_price(path: Path, problem: DockingProblem) -> float:
@@ -53,12 +54,32 @@ def least_price(path: Path, problem: DockingProblem) -> float:
 
     Curvature and clearance can only raise the price. A smoother may still find a shorter path nearby.
     """
-    gears = np.array([[0.0 if isinstance(one, TurnSegment) else one.direction * one.length for one in path.segments]])
+    gears = np.array([[one.direction * one.length for one in path.segments]])
     turns = np.array([abs(one.turn) for one in path.segments if isinstance(one, TurnSegment)])
     turned = float(turning_times(turns, problem.robot.limits.turning).sum()) if turns.size else 0.0
-    return price_of(path, turned + float(_durations(gears, problem)[0].sum()), problem.robot)
+    return price_of(path, turned + float(_durations(gears, problem)[0]), problem.robot)
 
 
+_PRICES_KERNEL = Kernel("optdock_least_prices", sizes=2, numbers=0)
+_DURATIONS_KERNEL = Kernel("optdock_durations", sizes=2, numbers=0)
+
+
+def _rule(problem: DockingProblem) -> FloatArray:
+    """Return the numbers of `Rule` in C."""
+    robot, zone = problem.robot, problem.dock.approach
+    limits = robot.limits
+    bounds = limits.max_speed, limits.max_reverse_speed, limits.max_acceleration, limits.max_deceleration
+    return np.array((*bounds, limits.max_jerk, problem.start_speed, zone.speed, zone.distance, robot.reverse_price))
+
+
+def _least_prices_native(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
+    (n, k), prices = lengths.shape, np.empty(len(lengths))
+    arrays = (_rule(problem), 9), (np.ascontiguousarray(lengths), n * k), (np.empty(k), k), (prices, n)
+    _PRICES_KERNEL((n, k), (), arrays)
+    return prices
+
+
+@twin_of(_least_prices_native)
 def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
     """Compute `least_price` of many paths without turns in place.
 
@@ -71,8 +92,14 @@ def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
         Shape (n,) [s].
     """
     gears, changes = _merged(lengths)
-    found: FloatArray = _durations(gears, problem).sum(axis=1) + CUSP_PRICE * changes
-    found += _reversing(gears, problem.robot).sum(axis=1)
+    found = _durations(gears, problem) + CUSP_PRICE * changes
+    found += _summed(_reversing(gears, problem.robot))
+    return found
+
+
+def _summed(values: FloatArray) -> FloatArray:
+    """Return the sums of rows from left to right, Shape (n, k) to (n,); `numpy.sum` has another order."""
+    found: FloatArray = sum(values.T, np.zeros(len(values)))
     return found
 
 
@@ -88,8 +115,15 @@ def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
     return gears, gear
 
 
+def _durations_native(gears: FloatArray, problem: DockingProblem) -> FloatArray:
+    (n, k), found = gears.shape, np.empty(len(gears))
+    _DURATIONS_KERNEL((n, k), (), ((_rule(problem), 9), (np.ascontiguousarray(gears), n * k), (found, n)))
+    return found
+
+
+@twin_of(_durations_native)
 def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Return the shortest durations [s] between stops for signed lengths [m], Shape (n, k); see `least_price`."""
+    """Return the shortest durations [s] of paths of signed lengths [m], Shape (n, k) to (n,); see `least_price`."""
     limits, zone = problem.robot.limits, problem.dock.approach
     length, drives = np.abs(gears), gears != 0.0
     top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)
@@ -108,7 +142,7 @@ def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
     found: FloatArray = np.where(drives, _gear_durations(length - inside, first, until, top, limits), 0.0)
     if np.any(inside > 0.0):
         found += np.where(inside > 0.0, _gear_durations(inside, until, np.zeros(slow.shape), until, limits), 0.0)
-    return found
+    return _summed(found)
 
 
 def stops(path: Path) -> int:
@@ -171,7 +205,7 @@ def _ramp(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the time and distance between two speeds, and d distance / d speed for the faster speed [s, m, s]."""
     change = np.maximum(fast - slow, 0.0)
-    full = change >= acceleration**2 / jerk  # the acceleration reaches its bound
+    full = change >= acceleration * acceleration / jerk  # the acceleration reaches its bound
     root = np.sqrt(change / jerk)
     time = np.where(full, change / acceleration + acceleration / jerk, 2.0 * root)
     slope = np.where(full, 1.0 / acceleration, 1.0 / np.maximum(np.sqrt(change * jerk), 1e-12))

@@ -16,13 +16,25 @@ from optdock.geometry.arrays import readonly
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import TypeAlias
 
     from optdock.geometry.arrays import BoolArray, FloatArray
+
+    # Where there is a solution, Shape (1 or 2, 4, n), and the lengths of its arcs of the same shape.
+    _Solution: TypeAlias = tuple[FloatArray | BoolArray | float, ...]
 
 __all__ = ["TURNS", "reeds_shepp_words"]
 
 _HALF_PI = 0.5 * np.pi
 _ROUNDING = 1e-10  # [rad]: tolerance of the sign of an arc
+# The four mirrors: identity, time reversal, reflection, both.
+_MIRROR_X, _MIRROR_Y = (
+    readonly(np.array([[1.0], [-1.0], [1.0], [-1.0]])),
+    readonly(np.array([[1.0], [1.0], [-1.0], [-1.0]])),
+)
+_FOUR_ARCS = readonly(
+    np.array([1.0, -1.0])[:, None, None]
+)  # sign of the second of four arcs, with one cusp and with two
 
 
 def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> FloatArray:
@@ -36,149 +48,153 @@ def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> F
     Returns:
         Shape (44, n, 5) [m]; NaN if a form has no solution.
     """
+    same, other = _centres(starts, goals, radius)
+    found, valid = np.zeros((len(_TURNS), 4, len(starts), 5)), np.empty((len(_TURNS), 4, len(starts)), dtype=np.bool_)
+    row = 0
+    for form in _FORMS:
+        rows = slice(row, row + len(form.turns))
+        valid[rows], *parts = form.solve(same if form.is_same else other)
+        for k, part in enumerate(parts):
+            found[rows, ..., k] = part
+        if form.is_backward:  # the solution back from the goal begins with the last arc
+            found[row + 1, ..., : len(parts)] = found[row + 1, ..., len(parts) - 1 :: -1].copy()
+        row = rows.stop
+    found *= _MIRROR_X[:, :, None] * radius
+    found[~valid] = np.nan
+    return found.reshape(4 * len(_TURNS), len(starts), 5)
+
+
+class _Centres(NamedTuple):
+    """Vectors from the centre of the first arc, a left turn, to the centre of the last one, in turning radii.
+
+    The first row is solved from the start to the goal, the second row back from the goal to the start. `phi`: change of
+    heading; `xi`, `eta`, `apart`, `bearing`: components of the vector, its length and its direction. Shape (2, 4, n)
+    for four mirrors and n pairs of poses, `phi` (4, n).
+    """
+
+    phi: FloatArray
+    xi: FloatArray
+    eta: FloatArray
+    apart: FloatArray
+    bearing: FloatArray
+
+
+def _centres(starts: FloatArray, goals: FloatArray, radius: float) -> tuple[_Centres, _Centres]:
+    """Return the vectors for a last arc that is driven to the left, and for one to the right."""
     dx, dy = (goals[:, :2] - starts[:, :2]).T / radius
     c, s = np.cos(starts[:, 2]), np.sin(starts[:, 2])
-    x, y, phi = c * dx + s * dy, c * dy - s * dx, goals[:, 2] - starts[:, 2]
-    # The four mirrors: identity, time reversal, reflection, both.
-    mirror_x, mirror_y = np.array([1.0, -1.0, 1.0, -1.0])[:, None], np.array([1.0, 1.0, -1.0, -1.0])[:, None]
-    x, y, phi = mirror_x * x, mirror_y * y, mirror_x * mirror_y * phi
-    back_x, back_y = x * np.cos(phi) + y * np.sin(phi), x * np.sin(phi) - y * np.cos(phi)
-    found = np.empty((len(_FORMS), 4, starts.shape[0], 5))
-    for form, out in zip(_FORMS, found, strict=True):
-        parts = form.solve(back_x, back_y, phi) if form.is_backward else form.solve(x, y, phi)
-        for k in range(5):
-            out[..., k] = parts[k] if k < len(parts) else 0.0
-        # A form that is solved backwards returns the last arc first.
-        if form.is_backward:
-            out[..., : len(parts)] = out[..., len(parts) - 1 :: -1].copy()
-    found *= mirror_x[:, :, None] * radius
-    return found.reshape(-1, starts.shape[0], 5)
+    phi = goals[:, 2] - starts[:, 2]
+    x, y = _MIRROR_X * (c * dx + s * dy), _MIRROR_Y * (c * dy - s * dx)
+    c, s = np.cos(phi), _MIRROR_X * _MIRROR_Y * np.sin(phi)
+    xi, eta = np.empty((2, 2, 4, len(starts))), np.empty((2, 2, 4, len(starts)))
+    for way, (ahead, left) in enumerate(((x, y - 1.0), (x * c + y * s, x * s - y * c - 1.0))):
+        xi[0, way], eta[0, way] = ahead - s, left + c
+        xi[1, way], eta[1, way] = ahead + s, left - c
+    apart, bearing, turned = np.hypot(xi, eta), np.arctan2(eta, xi), _MIRROR_X * _MIRROR_Y * phi
+    same, other = (_Centres(turned, xi[i], eta[i], apart[i], bearing[i]) for i in (0, 1))
+    return same, other
 
 
 def _within_half_turn(angle: FloatArray) -> FloatArray:
-    folded: FloatArray = angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+    folded: FloatArray = angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
     return folded
 
 
-def _where(valid: BoolArray, *parts: FloatArray | float) -> tuple[FloatArray, ...]:
-    with np.errstate(invalid="ignore"):
-        return tuple(np.where(valid, part, np.nan) for part in parts)
-
-
-def _left_straight_left(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
+def _left_straight_left(to: _Centres) -> _Solution:
     """L+S+L+, equation 8.1."""
-    xi, eta = x - np.sin(phi), y - 1.0 + np.cos(phi)
-    t = np.arctan2(eta, xi)
-    v = _within_half_turn(phi - t)
-    return _where((t >= -_ROUNDING) & (v >= -_ROUNDING), t, np.hypot(xi, eta), v)
+    t = to.bearing[:1]
+    v = _within_half_turn(to.phi - t)
+    return (t >= -_ROUNDING) & (v >= -_ROUNDING), t, to.apart[:1], v
 
 
-def _left_straight_right(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
+def _left_straight_right(to: _Centres) -> _Solution:
     """L+S+R+, equation 8.2."""
-    xi, eta = x + np.sin(phi), y - 1.0 - np.cos(phi)
-    squared = xi * xi + eta * eta
+    squared = to.xi[:1] * to.xi[:1] + to.eta[:1] * to.eta[:1]
     u = np.sqrt(np.maximum(squared - 4.0, 0.0))
-    t = _within_half_turn(np.arctan2(eta, xi) + np.arctan2(2.0, u))
-    v = _within_half_turn(t - phi)
-    return _where((squared >= 4.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t, u, v)
+    t = _within_half_turn(to.bearing[:1] + np.arctan2(2.0, u))
+    v = _within_half_turn(t - to.phi)
+    return (squared >= 4.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t, u, v
 
 
-def _left_right_left(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
+def _left_right_left(to: _Centres) -> _Solution:
     """L+R-L, with the last arc in either gear, equations 8.3 and 8.4."""
-    xi, eta = x - np.sin(phi), y - 1.0 + np.cos(phi)
-    apart = np.hypot(xi, eta)
-    u = -2.0 * np.arcsin(np.minimum(0.25 * apart, 1.0))
-    t = _within_half_turn(np.arctan2(eta, xi) + 0.5 * u + np.pi)
-    v = _within_half_turn(phi - t + u)
-    return _where((apart <= 4.0) & (t >= -_ROUNDING) & (u <= _ROUNDING), t, u, v)
+    u = -2.0 * np.arcsin(np.minimum(0.25 * to.apart, 1.0))
+    t = _within_half_turn(to.bearing + 0.5 * u + np.pi)
+    v = _within_half_turn(to.phi - t + u)
+    return (to.apart <= 4.0) & (t >= -_ROUNDING) & (u <= _ROUNDING), t, u, v
 
 
-def _outer_arcs(
-    u: FloatArray, v: FloatArray, xi: FloatArray, eta: FloatArray, phi: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the first and the last arc of four arcs with the inner arcs u and v, equations 8.7 and 8.8."""
-    delta = _within_half_turn(u - v)
-    a, b = np.sin(u) - np.sin(delta), np.cos(u) - np.cos(delta) - 1.0
+def _four_arcs(to: _Centres) -> _Solution:
+    """L+R+L-R- with one cusp, equation 8.7, and L+R-L-R+ with two cusps, equation 8.8."""
+    xi, eta = to.xi[0], to.eta[0]
+    rho = np.stack((0.25 * (2.0 + to.apart[0]), (20.0 - xi * xi - eta * eta) / 16.0))
+    u = _FOUR_ARCS * np.arccos(np.minimum(np.maximum(rho, 0.0), 1.0))
+    w = _FOUR_ARCS * -u  # the third arc
+    delta = _within_half_turn(u - w)
+    cosine, other_cosine = np.cos(u), np.cos(delta)
+    a, b = np.sin(u) - np.sin(delta), cosine - other_cosine - 1.0
     turned = np.arctan2(eta * a - xi * b, xi * a + eta * b)
-    flipped = 2.0 * (np.cos(delta) - np.cos(v) - np.cos(u)) + 3.0 < 0.0
+    flipped = 2.0 * (other_cosine - cosine - cosine) + 3.0 < 0.0
     t = _within_half_turn(np.where(flipped, turned + np.pi, turned))
-    return t, _within_half_turn(t - u + v - phi)
+    v = _within_half_turn(t - u + w - to.phi)
+    valid = (rho >= 0.0) & (rho <= 1.0) & (t >= -_ROUNDING) & (_FOUR_ARCS * v <= _ROUNDING)
+    return valid, t, u, w, v
 
 
-def _four_arcs_with_one_cusp(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
-    """L+R+L-R-, equation 8.7."""
-    xi, eta = x + np.sin(phi), y - 1.0 - np.cos(phi)
-    rho = 0.25 * (2.0 + np.hypot(xi, eta))
-    u = np.arccos(np.minimum(rho, 1.0))
-    t, v = _outer_arcs(u, -u, xi, eta, phi)
-    return _where((rho <= 1.0) & (t >= -_ROUNDING) & (v <= _ROUNDING), t, u, -u, v)
-
-
-def _four_arcs_with_two_cusps(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
-    """L+R-L-R+, equation 8.8."""
-    xi, eta = x + np.sin(phi), y - 1.0 - np.cos(phi)
-    rho = (20.0 - xi * xi - eta * eta) / 16.0
-    u = -np.arccos(np.clip(rho, 0.0, 1.0))
-    t, v = _outer_arcs(u, u, xi, eta, phi)
-    return _where((rho >= 0.0) & (rho <= 1.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t, u, u, v)
-
-
-def _quarter_turn_then_left(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
+def _quarter_turn_then_left(to: _Centres) -> _Solution:
     """L+R-S-L- with a quarter turn of R, equation 8.9."""
-    xi, eta = x - np.sin(phi), y - 1.0 + np.cos(phi)
-    apart = np.hypot(xi, eta)
-    r = np.sqrt(np.maximum(apart * apart - 4.0, 0.0))
-    t = _within_half_turn(np.arctan2(eta, xi) + np.arctan2(r, -2.0))
-    u, v = 2.0 - r, _within_half_turn(phi - _HALF_PI - t)
-    return _where((apart >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING), t, -_HALF_PI, u, v)
+    r = np.sqrt(np.maximum(to.apart * to.apart - 4.0, 0.0))
+    t = _within_half_turn(to.bearing + np.arctan2(r, -2.0))
+    u, v = 2.0 - r, _within_half_turn(to.phi - _HALF_PI - t)
+    return (to.apart >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING), t, -_HALF_PI, u, v
 
 
-def _quarter_turn_then_right(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
+def _quarter_turn_then_right(to: _Centres) -> _Solution:
     """L+R-S-R- with a quarter turn of R, equation 8.10."""
-    xi, eta = x + np.sin(phi), y - 1.0 - np.cos(phi)
-    apart, t = np.hypot(xi, eta), np.arctan2(xi, -eta)
-    u, v = 2.0 - apart, _within_half_turn(t + _HALF_PI - phi)
-    return _where((apart >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING), t, -_HALF_PI, u, v)
+    t, u = np.arctan2(to.xi, -to.eta), 2.0 - to.apart
+    v = _within_half_turn(t + _HALF_PI - to.phi)
+    return (to.apart >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING), t, -_HALF_PI, u, v
 
 
-def _two_quarter_turns(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
+def _two_quarter_turns(to: _Centres) -> _Solution:
     """L+R-S-L-R+ with quarter turns before and after the straight line, equation 8.11."""
-    xi, eta = x + np.sin(phi), y - 1.0 - np.cos(phi)
-    apart = np.hypot(xi, eta)
+    xi, eta, apart = to.xi[:1], to.eta[:1], to.apart[:1]
     u = 4.0 - np.sqrt(np.maximum(apart * apart - 4.0, 0.0))
     t = _within_half_turn(np.arctan2((4.0 - u) * xi - 2.0 * eta, -2.0 * xi + (u - 4.0) * eta))
-    v = _within_half_turn(t - phi)
+    v = _within_half_turn(t - to.phi)
     valid = (apart >= 2.0) & (u <= _ROUNDING) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
-    return _where(valid, t, -_HALF_PI, u, -_HALF_PI, v)
+    return valid, t, -_HALF_PI, u, -_HALF_PI, v
 
 
 class _Form(NamedTuple):
-    """A closed form: the steering of its arcs as driven, and whether it is solved from the goal back to the start."""
+    """A closed form.
 
-    solve: Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, ...]]
-    turns: tuple[float, ...]
+    `turns`: steering of the arcs as driven, for every row of the solution. `is_same`: whether the first and the last
+    arc have the same steering in the equations. `is_backward`: whether the second row is solved back from the goal.
+    """
+
+    solve: Callable[[_Centres], _Solution]
+    turns: tuple[tuple[float, ...], ...]
+    is_same: bool
     is_backward: bool = False
 
 
 _FORMS = (
-    _Form(_left_straight_left, (1, 0, 1)),
-    _Form(_left_straight_right, (1, 0, -1)),
-    _Form(_left_right_left, (1, -1, 1)),
-    _Form(_left_right_left, (1, -1, 1), is_backward=True),
-    _Form(_four_arcs_with_one_cusp, (1, -1, 1, -1)),
-    _Form(_four_arcs_with_two_cusps, (1, -1, 1, -1)),
-    _Form(_quarter_turn_then_left, (1, -1, 0, 1)),
-    _Form(_quarter_turn_then_left, (1, 0, -1, 1), is_backward=True),
-    _Form(_quarter_turn_then_right, (1, -1, 0, -1)),
-    _Form(_quarter_turn_then_right, (-1, 0, -1, 1), is_backward=True),
-    _Form(_two_quarter_turns, (1, -1, 0, 1, -1)),
+    _Form(_left_straight_left, ((1, 0, 1),), is_same=True),
+    _Form(_left_straight_right, ((1, 0, -1),), is_same=False),
+    _Form(_left_right_left, ((1, -1, 1), (1, -1, 1)), is_same=True, is_backward=True),
+    _Form(_four_arcs, ((1, -1, 1, -1), (1, -1, 1, -1)), is_same=False),
+    _Form(_quarter_turn_then_left, ((1, -1, 0, 1), (1, 0, -1, 1)), is_same=True, is_backward=True),
+    _Form(_quarter_turn_then_right, ((1, -1, 0, -1), (-1, 0, -1, 1)), is_same=False, is_backward=True),
+    _Form(_two_quarter_turns, ((1, -1, 0, 1, -1),), is_same=False),
 )
+_TURNS = tuple(turns for form in _FORMS for turns in form.turns)
 
 
 def _turns() -> FloatArray:
-    rows = np.zeros((len(_FORMS), 4, 5))
-    for form, row in zip(_FORMS, rows, strict=True):
-        row[:, : len(form.turns)] = form.turns
+    rows = np.zeros((len(_TURNS), 4, 5))
+    for turns, row in zip(_TURNS, rows, strict=True):
+        row[:, : len(turns)] = turns
         row[2:] *= -1.0
     return readonly(rows.reshape(-1, 5))
 

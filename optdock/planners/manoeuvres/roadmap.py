@@ -4,9 +4,6 @@ The shortest route of a disc through a building is known from the wavefront. Pos
 directions of the route, and neighbours are joined by Reeds-Shepp words. A best-first search finds the cheapest sequence
 of words and checks a word for collisions only when the search reaches this word (lazily, as in [Bohlin2000], where the
 vertices of the roadmap are random).
-
-The route of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) moves this route towards
-the middle of the free space, until the robot has enough room to turn everywhere on the route.
 """
 
 from __future__ import annotations
@@ -17,8 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.planners.manoeuvres.arcs import Arcs, are_free, joined
-from optdock.planners.manoeuvres.connections import cheapest_words, end_gears, is_wholly_free
-from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
+from optdock.planners.manoeuvres.connections import cheapest_words, is_wholly_free
+from optdock.planners.manoeuvres.disc_routes import arc_lengths
+from optdock.planners.manoeuvres.price import stopping_cost
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.planners.manoeuvres.connections import TreeNodes
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["elastic_band", "roadmap_ways"]
+__all__ = ["roadmap_ways"]
 
 _SPACING, _MOST_STATIONS = 0.75, 120  # spacing of stations in turning radii, larger on routes with more stations
 _AHEAD = 3  # most stations that a word advances
@@ -36,7 +34,6 @@ _MOST_ENDS = 8  # nodes of each end's tree
 _WORDS_PER_PAIR = 3
 _BATCH = 16  # words per collision check
 _MOST_CHECKS, _MORE_CHECKS = 3000, 200  # words checked before the search ends, and after the first way
-_PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first step size, factor of the last one
 
 
 class _Edges(NamedTuple):
@@ -111,14 +108,12 @@ class _LazySearch:
         i, j = i[wanted], j[wanted]
         ends = self._poses[i], self._poses[j]
         words = cheapest_words(*ends, self._effort.radius, self._space, _WORDS_PER_PAIR)
-        pair, driven, lengths, curvatures = words
-        begins, ends_in = end_gears(lengths)
-        prices = driven + self._stop * gear_changes(lengths)
-        speed = self._space.problem.start_speed
-        kept = (begins != 0.0) & ((i[pair] > 0) | (begins * speed >= 0.0))
-        kept = np.flatnonzero(kept)[np.argsort(i[pair[kept]], kind="stable")]
-        pair = pair[kept]
-        return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
+        i, j, begins = i[words.pair], j[words.pair], words.begins
+        prices = words.driven + self._stop * words.changes
+        kept = ((begins != 0.0) & ((i > 0) | (begins * self._space.problem.start_speed >= 0.0))).nonzero()[0]
+        kept = kept[i[kept].argsort(kind="stable")]
+        parts = i, j, prices, begins, words.ends, words.lengths, words.curvatures
+        return _Edges(*(part[kept] for part in parts))
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
         """Yield complete paths of free words with their prices as they are found."""
@@ -187,36 +182,10 @@ class _LazySearch:
 
 def _stations(route: FloatArray, radius: float) -> tuple[FloatArray, float]:
     """Return poses along a route, Shape (n, 3), and their spacing [m]."""
-    s = _arc_lengths(route)
+    s = arc_lengths(route)
     spacing = max(_SPACING * radius, s[-1] / _MOST_STATIONS)
     at, near = np.arange(0.5 * spacing, s[-1], spacing), 0.5 * spacing
     x, y = (np.interp(at, s, route[:, i]) for i in (0, 1))
     dx, dy = (np.interp(at + near, s, route[:, i]) - np.interp(at - near, s, route[:, i]) for i in (0, 1))
     poses: FloatArray = np.column_stack((x, y, np.arctan2(dy, dx)))
     return poses, spacing
-
-
-def _arc_lengths(route: FloatArray) -> FloatArray:
-    """Return the distances from the first point along a route, Shape (n,) [m]."""
-    return np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
-
-
-def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
-    """Return a route, Shape (n, 2) [m], straightened and moved away from obstacles nearer than `room` [m].
-
-    The ends of the route are kept, and its points are about one robot width apart.
-    """
-    s = _arc_lengths(route)
-    at = np.linspace(0.0, s[-1], max(3, round(s[-1] / space.width) + 1))
-    points: FloatArray = np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)])
-    step = 2.0 * space.field.spacing
-    around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, because pushes between two walls overshoot the middle
-        inner = points[1:-1]
-        lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
-        distance = 0.5 * (lower + upper)
-        slope = np.column_stack((distance[1] - distance[2], distance[3] - distance[4])) / (2.0 * step)
-        pushed = _STIFFNESS * np.maximum(room - distance[0], 0.0)[:, None] * slope
-        pulled = _STIFFNESS * (0.5 * (points[:-2] + points[2:]) - inner)
-        points[1:-1] += damped * (pulled + pushed)
-    return points

@@ -14,9 +14,9 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
+from optdock.planners.manoeuvres.disc_routes import elastic_band
 from optdock.planners.manoeuvres.free_space import FreeSpace
 from optdock.planners.manoeuvres.manoeuvre_planner import Stages
-from optdock.planners.manoeuvres.roadmap import elastic_band
 from optdock.verification import pose_clearances
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)

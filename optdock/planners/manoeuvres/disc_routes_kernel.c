@@ -1,0 +1,183 @@
+/* Shortest routes of a disc on the grid of the distance field: `_spread`, `_way_back` and `_pulled` of `disc_routes.py`
+ * in C (R8, docs/theory/search.md).
+ *
+ * Sums and products are evaluated in the order of the twins, so the results are equal to the last bit. Only guesses
+ * depend on this file; the certificate has code of its own. */
+
+#include <math.h>
+#include <stdint.h>
+
+#define TILE 32 /* grid points along the side of a tile */
+
+/* The grid: number of tiles along a side, index of the values of every tile, and tiles that must be computed first. */
+typedef struct {
+    int64_t tiles;
+    int64_t *slots;       /* (tiles, tiles); -1: not computed yet, -2: in the list of missing tiles */
+    const double *values; /* (computed tiles, TILE, TILE) [m] */
+    int64_t *missing, missing_count;
+} Grid;
+
+static const int64_t AROUND[8][2] = {{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}, {1, -1}, {-1, 1}, {-1, -1}};
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+/* Distance at a grid point [m], or NaN if its tile is missing, which is then appended to the list. */
+static double value_at(Grid *grid, int64_t i, int64_t j)
+{
+    int64_t tile = i / TILE * grid->tiles + j / TILE, slot = grid->slots[tile];
+    if (slot >= 0)
+        return grid->values[TILE * TILE * slot + TILE * (i % TILE) + j % TILE];
+    if (slot == -1)
+        grid->missing[grid->missing_count++] = tile;
+    grid->slots[tile] = -2;
+    return NAN;
+}
+
+/* Advance a wave by one cell from the front, the cells from `begin` to `end` of the queue, and return the new end. The
+ * first pass marks missing tiles; without any, the second pass appends the new front. */
+static int64_t advance(Grid *grid, double beside, double radius, int64_t count, double *steps, int64_t *queue,
+                       int64_t begin, int64_t end)
+{
+    int64_t side = TILE * grid->tiles, ways = count % 2 ? 4 : 8, last = end;
+    for (int pass = 0; pass < 2 && grid->missing_count == 0; pass++) {
+        for (int64_t q = begin; q < end; q++) {
+            for (int64_t way = 0; way < ways; way++) {
+                int64_t i = queue[q] / side + AROUND[way][0], j = queue[q] % side + AROUND[way][1];
+                if (i < 0 || i >= side || j < 0 || j >= side || steps[side * i + j] != 0.0)
+                    continue;
+                double value = value_at(grid, i, j);
+                if (pass && value + beside >= radius) {
+                    steps[side * i + j] = (double)(count + 2);
+                    queue[last++] = side * i + j;
+                }
+            }
+        }
+    }
+    return last;
+}
+
+/* Spread a wave over the grid until all targets are reached.
+ *
+ *   targets, tiles, most  numbers of targets, of tiles along a side, and of steps after which the call ends
+ *   beside, radius        [m]: the disc fits at a grid point if its value plus `beside` is at least the radius
+ *   cells                 (targets,), grid points
+ *   steps                 in and out, (side, side), 0 if not reached, otherwise 1 + the number of steps
+ *   queue                 in and out, (side side,), cells in the order in which they are reached
+ *   progress              in and out, (4,): begin and end of the front in the queue, number of steps, missing tiles
+ *   slots, values         see `Grid`
+ *   missing               out, (tiles tiles,): tiles that must be computed first
+ *
+ * Return 1 if all targets are reached or the wave has ended, otherwise 0. */
+int64_t optdock_spread(int64_t targets, int64_t tiles, int64_t most, double beside, double radius, const int64_t *cells,
+                       double *steps, int64_t *queue, int64_t *progress, int64_t *slots, const double *values,
+                       int64_t *missing)
+{
+    Grid grid = {tiles, slots, values, missing, 0};
+    int64_t reached = 0, is_done = 0;
+    for (int64_t k = 0; k < most && grid.missing_count == 0 && !is_done; k++) {
+        while (reached < targets && steps[cells[reached]] != 0.0)
+            reached++;
+        is_done = reached == targets || progress[0] == progress[1];
+        if (is_done)
+            break;
+        int64_t last = advance(&grid, beside, radius, progress[2], steps, queue, progress[0], progress[1]);
+        if (grid.missing_count)
+            break;
+        progress[0] = progress[1];
+        progress[1] = last;
+        progress[2]++;
+    }
+    progress[3] = grid.missing_count;
+    return is_done;
+}
+
+/* Follow a wave back from a cell to its source.
+ *
+ *   side, most   grid points along a side, length of `way`
+ *   cell         the cell, which the wave has reached
+ *   steps        (side, side), see `optdock_spread`
+ *   way          out, (most,), the cells from the source
+ *
+ * Return the number of cells, which is 0 if there are more than `most`. */
+int64_t optdock_way_back(int64_t side, int64_t most, int64_t cell, const double *steps, int64_t *way)
+{
+    int64_t count = 0;
+    while (count < most) {
+        way[count++] = cell;
+        if (steps[cell] == 1.0)
+            break;
+        int64_t i = cell / side, j = cell % side;
+        double least = INFINITY;
+        for (int64_t k = 0; k < 8; k++) {
+            int64_t row = i + AROUND[k][0], column = j + AROUND[k][1];
+            row = row < 0 ? 0 : row < side ? row : side - 1;
+            column = column < 0 ? 0 : column < side ? column : side - 1;
+            double step = steps[side * row + column];
+            if (step > 0.0 && step < least) {
+                least = step;
+                cell = side * row + column;
+            }
+        }
+    }
+    if (steps[way[count - 1]] != 1.0)
+        return 0;
+    for (int64_t k = 0; k < count / 2; k++) {
+        int64_t other = way[k];
+        way[k] = way[count - 1 - k];
+        way[count - 1 - k] = other;
+    }
+    return count;
+}
+
+/* A cell of the grid; NaN becomes 0. */
+static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
+
+/* Mean of the bounds of the distance of a point [m], -inf outside the field, NaN if the tile is missing. */
+static double distance_at(Grid *grid, const double *origin, double spacing, double x, double y)
+{
+    double last = (double)(TILE * grid->tiles - 1), u = (x - origin[0]) / spacing, v = (y - origin[1]) / spacing;
+    double column = rint(u), row = rint(v), du = u - column, dv = v - row;
+    double value = value_at(grid, (int64_t)clamped(column, last), (int64_t)clamped(row, last));
+    double away = spacing * sqrt(du * du + dv * dv);
+    int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
+    return 0.5 * ((is_inside ? value - away : -INFINITY) + (value + away));
+}
+
+/* Straighten a route and move it away from obstacles; one iteration per element of `damped`, from `done` on.
+ *
+ *   n, pulls, tiles       numbers of points, of iterations and of tiles along a side
+ *   spacing, step         of the grid, and of the differences of the distance [m]
+ *   room, stiffness       distance to keep [m], share of the way of a full step
+ *   origin                (2,), the first grid point [m]; damped: (pulls,)
+ *   points                in and out, (n, 2) [m]; moved: work, (n, 2)
+ *   progress              in and out, (2,): iterations done, missing tiles
+ *   slots, values         see `Grid`
+ *   missing               out, (tiles tiles,): tiles that must be computed first */
+int64_t optdock_pulled(int64_t n, int64_t pulls, int64_t tiles, double spacing, double step, double room,
+                       double stiffness, const double *origin, const double *damped, double *points, double *moved,
+                       int64_t *progress, int64_t *slots, const double *values, int64_t *missing)
+{
+    Grid grid = {tiles, slots, values, missing, 0};
+    for (; progress[0] < pulls; progress[0]++) {
+        for (int64_t i = 1; i < n - 1; i++) {
+            const double *at = points + 2 * i;
+            double near[5];
+            for (int64_t k = 0; k < 5; k++) { /* here, then to both sides in x and in y */
+                double dx = k == 1 ? step : k == 2 ? -step : 0.0, dy = k == 3 ? step : k == 4 ? -step : 0.0;
+                near[k] = distance_at(&grid, origin, spacing, at[0] + dx, at[1] + dy);
+            }
+            double push = stiffness * larger(room - near[0], 0.0);
+            for (int64_t k = 0; k < 2; k++) {
+                double slope = (near[1 + 2 * k] - near[2 + 2 * k]) / (2.0 * step);
+                double pulled = stiffness * (0.5 * (at[k - 2] + at[k + 2]) - at[k]);
+                moved[2 * i + k] = at[k] + damped[progress[0]] * (pulled + push * slope);
+            }
+        }
+        if (grid.missing_count)
+            break;
+        for (int64_t k = 2; k < 2 * (n - 1); k++)
+            points[k] = moved[k];
+    }
+    progress[1] = grid.missing_count;
+    return 0;
+}
