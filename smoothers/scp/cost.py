@@ -120,7 +120,11 @@ class CostModel:
         basis, (curvature, lengths) = self.basis, variables
         bend, jerk, turning = self._hessians
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
-        share, lateral, normals = self.weights.tracking / basis.num_intervals, self._lateral(rollout), self.reference.normals
+        share, lateral, normals = (
+            self.weights.tracking / basis.num_intervals,
+            self._lateral(rollout),
+            self.reference.normals,
+        )
         scale = 2.0 * share * float(lengths.sum())
         moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
         gradient, hessian = (scale * lateral) @ moved, scale * (moved.T @ moved)

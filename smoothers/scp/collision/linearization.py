@@ -149,7 +149,9 @@ def _rows_native(
         (found.table, width * p),
         (rollout.poses, 3 * basis.num_nodes),
         (found.required.gradient, 2 * basis.num_nodes),
-        *((axis, basis.num_nodes * size) for axis in by),
+        (by.x, basis.num_nodes * size),
+        (by.y, basis.num_nodes * size),
+        (by.yaw, basis.num_nodes * size),
         (node, node.size),
         (rows, rows.size),
     )
