@@ -248,10 +248,15 @@ def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: flo
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):
-        knots = np.linspace(0.0, variables.lengths[m], last - first + 1)
-        curvature = variables.curvature[first : last + 1]
-        if m == basis.num_gears - 1 and final_straight > 0.0:
-            knots, curvature = np.append(knots, knots[-1] + final_straight), np.append(curvature, 0.0)
+        length, count = variables.lengths[m], last - first + 1
+        is_extended = m == basis.num_gears - 1 and final_straight > 0.0
+        knots, curvature = np.zeros(count + is_extended), np.zeros(count + is_extended)
+        knots[:count], curvature[:count] = (
+            np.arange(count) * (length / (count - 1)),
+            variables.curvature[first : last + 1],
+        )
+        knots[count - 1] = length
+        knots[count:] = length + final_straight
         spline = ClothoidSpline(pose, knots, curvature, int(ends.signs[m]))
         splines.append(spline)
         pose = spline.end

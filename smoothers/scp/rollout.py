@@ -101,7 +101,7 @@ def roll_out(basis: Basis, variables: Variables, start: FloatArray, signs: Float
     np.add.accumulate(path, axis=0, out=path)
     found.poses[:, :2] = path[basis.position_of]
     found.poses[:, 2] = start[2] + in_order(basis.node_headings * (lengths[basis.knot_gear] * curvature), 1)
-    found.curvature[:] = in_order(basis.node_curvatures * curvature, 1)
+    found.curvature[:] = in_order(basis.node_curvatures * curvature, 1) + 0.0  # no negative zeros
     found.steps[:] = (lengths / basis.divisions[:, 1])[gears]
     found.rate[:] = basis.slopes(curvature)[basis.interval_span] / lengths[gears]
     return found

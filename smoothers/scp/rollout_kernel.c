@@ -46,17 +46,20 @@ static void turn(const Basis *b, const double *z, double *turned)
             turned[j] = z[b->knots + m] * z[j];
 }
 
-/* Displacements (S4) by the Gauss points, with the headings (S3). */
+/* Displacements (S4) by the Gauss points, with the headings (S3). The integrals of hats that begin later are 0. */
 static void displace(const Basis *b, const double *z, const double *turned, const double *start, const double *signs,
                      Vector *moves)
 {
-    for (int64_t m = 0, i = 0; m < b->gears; m++) {
-        int64_t cells = b->divisions[2 * m + 1];
+    for (int64_t m = 0, i = 0, knot = 0; m < b->gears; m++) {
+        int64_t spans = b->divisions[2 * m], cells = b->divisions[2 * m + 1];
         double weight = 0.5 / (double)cells * (z[b->knots + m] * signs[m]);
-        for (int64_t end = i + 2 * cells; i < end; i++) {
-            double yaw = start[2] + dot(b->gauss + i * b->knots, turned, b->knots);
-            moves[i] = (Vector){weight * cos(yaw), weight * sin(yaw)};
+        for (int64_t cell = 0; cell < cells; cell++) {
+            for (int64_t end = i + 2; i < end; i++) {
+                double yaw = start[2] + dot(b->gauss + i * b->knots, turned, knot + cell * spans / cells + 2);
+                moves[i] = (Vector){weight * cos(yaw), weight * sin(yaw)};
+            }
         }
+        knot += spans + 1;
     }
 }
 
@@ -75,32 +78,35 @@ static void end_pose(const Basis *b, const double *z, const double *start, const
     pose[2] = start[2] + dot(b->headings + (b->nodes - 1) * b->knots, turned, b->knots);
 }
 
-/* The roll-out, in the order of `Rollout.packed`. turned: work, (knots,). */
-static void roll_out(const Basis *b, const double *z, const double *start, const double *signs, double *packed,
-                     double *turned)
+/* The roll-out, in the order of `Rollout.packed`. is_displaced: whether its moves and `turned` are given.
+ * turned: work, (knots,). */
+static void roll_out(const Basis *b, const double *z, const double *start, const double *signs, int is_displaced,
+                     double *packed, double *turned)
 {
     double *poses = packed, *kappa = poses + 3 * b->nodes, *rate = kappa + b->nodes, *steps = rate + b->intervals;
     Vector *moves = (Vector *)(steps + b->intervals), place = {start[0], start[1]};
-    turn(b, z, turned);
-    displace(b, z, turned, start, signs, moves);
-    for (int64_t m = 0, node = 0, interval = 0, knot = 0; m < b->gears; m++, knot++) {
+    if (!is_displaced) {
+        turn(b, z, turned);
+        displace(b, z, turned, start, signs, moves);
+    }
+    for (int64_t m = 0, node = 0, interval = 0, first = 0; m < b->gears; m++) {
         int64_t spans = b->divisions[2 * m], cells = b->divisions[2 * m + 1];
         double length = z[b->knots + m];
         for (int64_t i = 0; i <= cells; i++, node++) {
+            int64_t knot = first + (i < cells ? i * spans / cells : spans - 1);
             poses[3 * node] = place.x;
             poses[3 * node + 1] = place.y;
-            poses[3 * node + 2] = start[2] + dot(b->headings + node * b->knots, turned, b->knots);
-            kappa[node] = dot(b->hats + node * b->knots, z, b->knots);
+            poses[3 * node + 2] = start[2] + dot(b->headings + node * b->knots, turned, knot + 2);
+            kappa[node] = dot(b->hats + node * b->knots + knot, z + knot, 2) + 0.0; /* no negative zeros */
             if (i == cells)
-                break;
+                continue;
             rate[interval] = (double)spans * (z[knot + 1] - z[knot]) / length;
             steps[interval] = length / (double)cells;
             place.x += moves[2 * interval].x + moves[2 * interval + 1].x;
             place.y += moves[2 * interval].y + moves[2 * interval + 1].y;
             interval++;
-            knot += (i + 1) % (cells / spans) == 0;
         }
-        node++;
+        first += spans + 1;
     }
 }
 
@@ -114,7 +120,7 @@ int64_t optdock_roll_out(int64_t gears, int64_t knots, int64_t nodes, int64_t in
                          const int64_t *divisions, const double *given, double *out, double *work)
 {
     Basis b = basis_of(gears, knots, nodes, intervals, packed, divisions);
-    roll_out(&b, given, given + b.size, given + b.size + 3, out, work);
+    roll_out(&b, given, given + b.size, given + b.size + 3, 0, out, work);
     return 0;
 }
 
@@ -280,8 +286,9 @@ static void restrict_columns(const Goal *goal, const double *z, int64_t size, co
     }
 }
 
-/* Move the end of the path onto the target by Newton steps (S6) as long as the error contracts. */
-static void onto_goal(const Basis *b, const Goal *goal, double *z, Work work)
+/* Move the end of the path onto the target by Newton steps (S6) as long as the error contracts. Return whether the work
+ * arrays belong to the result. */
+static int onto_goal(const Basis *b, const Goal *goal, double *z, Work work)
 {
     double pose[3], error[3], found[3], factors[3];
     int is_renewed = 0;
@@ -291,7 +298,7 @@ static void onto_goal(const Basis *b, const Goal *goal, double *z, Work work)
     for (int64_t step = 0; step < goal->most_steps; step++) {
         double size = largest(error);
         if (!(goal->tolerance <= size && size <= goal->reach))
-            return;
+            return 1;
         if (!is_renewed || size > goal->renew) {
             end_sensitivity(b, z, work.moves, work.jacobian);
             restrict_columns(goal, z, b->size, error, work.jacobian);
@@ -304,12 +311,13 @@ static void onto_goal(const Basis *b, const Goal *goal, double *z, Work work)
         for (int i = 0; i < 3; i++)
             found[i] = pose[i] - goal->target[i];
         if (!(largest(found) <= goal->contraction * size))
-            return;
+            return 0;
         for (int64_t j = 0; j < b->size; j++)
             z[j] = work.trial[j];
         for (int i = 0; i < 3; i++)
             error[i] = found[i];
     }
+    return 1;
 }
 
 /* Limit the curvatures to the largest rate (S7). values: work, (knots,). */
@@ -381,18 +389,19 @@ int64_t optdock_project_and_roll_out(int64_t gears, int64_t knots, int64_t nodes
     Work work = {z + 2 * size, z + 3 * size, z + 4 * size, (Vector *)(z - 4 * intervals)};
     for (int64_t j = 0; j < size; j++)
         z[j] = clipped[j] = alternations < 0 ? given[j] : clip(given[j], goal.lower[j], goal.upper[j]);
-    onto_goal(&b, &goal, z, work);
+    int is_displaced = onto_goal(&b, &goal, z, work);
     if (alternations < 0)
         return 0;
     for (int64_t i = 0; i < alternations && !rate_is_kept(&b, &goal, z); i++) {
         limit_rate(&b, &goal, z, work.trial);
-        onto_goal(&b, &goal, z, work);
+        is_displaced = onto_goal(&b, &goal, z, work);
     }
     if (!rate_is_kept(&b, &goal, z)) {
         for (int64_t j = 0; j < size; j++)
             z[j] = clipped[j];
         limit_rate(&b, &goal, z, work.trial);
+        is_displaced = 0;
     }
-    roll_out(&b, z, start, signs, out, work.turned);
+    roll_out(&b, z, start, signs, is_displaced, out, work.turned);
     return 0;
 }
