@@ -57,6 +57,7 @@ class Basis(FrozenArrays):
     left: IntArray  # node at which each interval begins; it ends at the next one
     position_of: IntArray  # interval boundary (0 to num_intervals) of each node
     fraction: FloatArray  # share of its gear's length at which each node lies
+    # Matrices by which curvatures are multiplied are stored by columns, so that NumPy adds in the order of the columns.
     gauss_headings: FloatArray  # Shape (2 num_intervals, num_knots), heading at the two Gauss points of each interval
     # Shape (2 num_intervals, num_gears), weight of each Gauss point as a share of its gear's length
     gauss_shares: FloatArray
@@ -76,8 +77,9 @@ class Basis(FrozenArrays):
 
     @cached_property
     def packed(self) -> FloatArray:
-        """`gauss_headings`, `node_headings` and `node_curvatures` as one array, for the kernels."""
-        return readonly(np.concatenate((self.gauss_headings, self.node_headings, self.node_curvatures)))
+        """`gauss_headings`, `node_headings` and `node_curvatures` as one array, stored by rows, for the kernels."""
+        both = np.concatenate((self.gauss_headings, self.node_headings, self.node_curvatures))
+        return readonly(np.ascontiguousarray(both))
 
     @cached_property
     def own_knots(self) -> tuple[slice, ...]:
@@ -124,11 +126,11 @@ def basis_for(shape: Shape, fit_smoothing: float = DEFAULT_SETTINGS.resolution.f
         "left": np.delete(np.arange(node_gear.size), last_nodes),
         "position_of": np.arange(node_gear.size) - node_gear,
         "fraction": np.concatenate([block.nodes for block in blocks]),
-        "gauss_headings": _heading_rows(blocks, [block.gauss_integrals for block in blocks]),
+        "gauss_headings": np.asfortranarray(_heading_rows(blocks, [block.gauss_integrals for block in blocks])),
         "gauss_shares": _block_diagonal([np.full((2 * n, 1), 0.5 / n) for n in cells]),
         "middle_headings": _heading_rows(blocks, [block.middle_integrals for block in blocks]),
-        "node_headings": _heading_rows(blocks, [block.node_integrals for block in blocks]),
-        "node_curvatures": _block_diagonal([block.hats for block in blocks]),
+        "node_headings": np.asfortranarray(_heading_rows(blocks, [block.node_integrals for block in blocks])),
+        "node_curvatures": np.asfortranarray(_block_diagonal([block.hats for block in blocks])),
         "span_slopes": _block_diagonal([block.slopes for block in blocks]),
         "mass": _block_diagonal([block.mass for block in blocks]),
         "stiffness": _block_diagonal([block.stiffness for block in blocks]),

@@ -169,8 +169,9 @@ def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> Fl
     """Return the derivatives of the last pose, Shape (3, size), from the moves of the roll-out."""
     knots, (curvature, lengths) = basis.num_knots, variables
     weighted = np.empty((3, knots))
-    across, along = in_order(moves[:, :, None] * basis.gauss_headings[:, None])
-    weighted[0], weighted[1], weighted[2] = -along, across, basis.node_headings[-1]
+    rows = basis.packed[: len(moves)]  # `gauss_headings`, stored by rows
+    weighted[0], weighted[1] = -in_order(rows * moves[:, 1:]), in_order(rows * moves[:, :1])
+    weighted[2] = basis.node_headings[-1]
     out = np.empty((3, basis.size))
     np.multiply(weighted, lengths[basis.knot_gear], out=out[:, :knots])
     for m, own in enumerate(basis.own_knots):

@@ -59,7 +59,9 @@ class Sensitivity(NamedTuple):
 
 def in_order(terms: FloatArray, axis: int = 0) -> FloatArray:
     """Return the sums along an axis, evaluated in the order of the indices, so that kernels round equally."""
-    sums: FloatArray = np.add.accumulate(terms, axis=axis).take(-1, axis)
+    # Along the axis of the largest stride NumPy adds in this order; along the last axis in memory it adds pairwise.
+    is_outer = terms.ndim > 1 and terms.strides[axis] == max(terms.strides) and min(terms.shape) > 1
+    sums: FloatArray = terms.sum(axis=axis) if is_outer else np.add.accumulate(terms, axis=axis).take(-1, axis)
     return sums
 
 
