@@ -44,6 +44,8 @@ _TOLERANCE = 1e-12  # relative to the larger of 1 and the value
 _SELF_TESTED = (1.0 + 2.0**-27, float("nan"), 2.0, 2.0**-1040)
 _FAILURES = ("contraction of products", "comparisons with NaN", "square roots", "subnormal numbers", "rounding")
 _DOUBLE, _INT = np.dtype(np.float64), np.dtype(np.int64)
+# Returns an empty array of `ctypes` at the address of a NumPy array.
+_at_address_of: Callable[[object], object] = (ctypes.c_char * 0).from_buffer  # type: ignore[assignment]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -177,21 +179,19 @@ class Kernel:
 
     def __init__(self, symbol: str, sizes: int, numbers: int) -> None:
         self._symbol = symbol
-        self._kinds = (ctypes.c_int64,) * sizes, (ctypes.c_double,) * numbers
+        self._counts = sizes, numbers
+        self._function: ctypes._NamedFuncPointer | None = None
 
-    @functools.cached_property
-    def _function(self) -> ctypes._NamedFuncPointer:
+    def _with_types(self, arrays: int) -> ctypes._NamedFuncPointer:
+        """Return the function with the types of its arguments, which are set by the first call."""
         handle = _library().handle
         assert handle is not None
         function = handle[self._symbol]
         function.restype = ctypes.c_int64
-        return function
-
-    def _with_types(self, arrays: int) -> ctypes._NamedFuncPointer:
-        """Return the function with the types of its arguments, which are set by the first call."""
-        function = self._function
-        if not function.argtypes:
-            function.argtypes = (*self._kinds[0], *self._kinds[1], *(ctypes.c_void_p,) * arrays)
+        sizes, numbers = self._counts
+        kinds = (ctypes.c_int64,) * sizes, (ctypes.c_double,) * numbers, (ctypes.c_void_p,) * arrays
+        function.argtypes = (*kinds[0], *kinds[1], *kinds[2])
+        self._function = function  # now that its types are set, for calls in other threads
         return function
 
     def __call__(
@@ -210,28 +210,23 @@ class Kernel:
         Raises:
             ValueError: If an array is not a contiguous array of doubles or int64, or has another number of elements.
         """
-        if (len(sizes), len(numbers)) != (len(self._kinds[0]), len(self._kinds[1])):
+        if (len(sizes), len(numbers)) != self._counts:
             raise ValueError(f"{self._symbol}: {len(sizes)} sizes and {len(numbers)} numbers")
-        addresses = []
-        for i, (array, count) in enumerate(arrays):
+        addresses: list[object] = []
+        for array, count in arrays:
             if not array.flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
                 told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
-                raise ValueError(f"{self._symbol}: array {i} must be contiguous with {count} elements, got {told}")
-            addresses.append(_address(array))
-        return int(self._with_types(len(arrays))(*sizes, *numbers, *addresses))
-
-
-def _address(array: NDArray[np.float64] | NDArray[np.int64]) -> int | bytes:
-    """Return the address of a contiguous array, or the `bytes` object that contains exactly its elements.
-
-    `ctypes` passes the address of a `bytes` object. `array.ctypes` takes four times as long as each of the two others.
-    """
-    base: object = array.base
-    if type(base) is bytes and len(base) == array.nbytes:  # see `geometry.arrays.readonly`
-        return base
-    if array.flags.writeable and array.size:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
-    return array.ctypes.data
+                at = f"{self._symbol}: array {len(addresses)}"
+                raise ValueError(f"{at} must be contiguous with {count} elements, got {told}")
+            # `ctypes` passes the address of a `bytes` object and of an array of its own. `array.ctypes` takes four
+            # times as long as each of the two others.
+            base: object = array.base
+            if type(base) is bytes and len(base) == array.nbytes:  # see `geometry.arrays.readonly`
+                addresses += (base,)
+            else:
+                addresses += (_at_address_of(array) if array.flags.writeable else array.ctypes.data,)
+        function = self._function or self._with_types(len(addresses))
+        return int(function(*sizes, *numbers, *addresses))
 
 
 def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:

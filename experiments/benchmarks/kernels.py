@@ -25,6 +25,7 @@ from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.timing import interior_point, reference_program, ruckig_moves
 from optdock.verification import certify_path, clearance_kernel, clearance_rounds, stretch_bounds, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
+from smoothers.scp import initial_guess, loop
 from smoothers.scp.collision import clearance_along, linearization
 
 if TYPE_CHECKING:
@@ -44,7 +45,10 @@ _KERNELS = {
     "round of the proof": (clearance_rounds, "_round_chosen"),
     "clearances of ends": (clearance_kernel, "_of_pieces_chosen"),
     "clearance along a roll-out": (clearance_along, "_along"),
-    "witness points": (linearization, "_witnesses"),
+    "rows of planes": (linearization, "separating_plane_rows"),
+    "roll-out": (initial_guess, "roll_out"),
+    "sensitivity": (loop, "sensitivity"),
+    "goal projection": (loop, "project_and_roll_out"),
     "disc states": (free_space, "disc_states"),
     "tile of the field": (distance_field, "_tile_values"),
     "crossings": (trajectory_rules, "crossings"),

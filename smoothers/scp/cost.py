@@ -90,10 +90,16 @@ class CostModel:
         rows[cusps, basis.first_knots[1:]] = 1.0
         return rows * math.sqrt(self.turning_at_cusps) / self.scales[0]
 
-    @property
+    @cached_property
     def factors(self) -> tuple[float, float]:
         """Weights of the integrals of squared curvature and squared curvature rate."""
         return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
+
+    @cached_property
+    def _hessians(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Hessians by the knot curvatures: of bends per length, of jerks times length, and of turns at cusps."""
+        bend, jerk = self.factors
+        return 2.0 * bend * self.basis.mass, 2.0 * jerk * self._stiffness, 2.0 * (self._turned.T @ self._turned)
 
     def _lateral(self, rollout: Rollout) -> FloatArray:
         away = rollout.poses[:, :2] - self.reference.positions
@@ -102,38 +108,32 @@ class CostModel:
     def value(self, variables: Variables, rollout: Rollout) -> float:
         """Return the cost J of given variables."""
         curvature, lengths = variables
-        bend, jerk = self.factors
+        bend, jerk, turning = self._hessians
         per_knot = lengths[self.basis.knot_gear]
-        squares = per_knot * curvature * (self.basis.mass @ curvature)
-        slopes = curvature * (self._stiffness @ curvature) / per_knot
+        by_curvature = per_knot * (bend @ curvature) + (jerk @ curvature) / per_knot + turning @ curvature
         lateral, total = self._lateral(rollout), float(lengths.sum())
         tracking = self.weights.tracking * total / self.basis.num_intervals * float(lateral @ lateral)
-        turned = self._turned @ curvature
-        smooth = bend * squares.sum() + jerk * slopes.sum() + turned @ turned
-        return float(self.weights.length * total + smooth + tracking)
+        return self.weights.length * total + 0.5 * float(curvature @ by_curvature) + tracking
 
     def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
         """Return the exact gradient, and a Hessian that is exact in the curvatures and Gauss-Newton for tracking."""
         basis, (curvature, lengths) = self.basis, variables
-        bend, jerk = self.factors
+        bend, jerk, turning = self._hessians
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
-        of_mass, of_slope = basis.mass @ curvature, self._stiffness @ curvature
-        gradient, hessian = np.empty(basis.size), np.zeros((basis.size, basis.size))
-        gradient[:knots] = 2.0 * (bend * per_knot * of_mass + jerk / per_knot * of_slope)
-        squares, slopes = (curvature * of_mass) @ basis.knot_members, (curvature * of_slope) @ basis.knot_members
-        gradient[knots:] = self.weights.length + bend * squares - jerk * slopes / lengths**2
-        hessian[:knots, :knots] = 2.0 * (bend * per_knot * basis.mass + (jerk / per_knot) * self._stiffness)
-        gradient[:knots] += 2.0 * (self._turned.T @ (self._turned @ curvature))
-        hessian[:knots, :knots] += 2.0 * (self._turned.T @ self._turned)
-        index = np.arange(knots, basis.size)
-        hessian[index, index] = 2.0 * jerk * slopes / lengths**3
-        share = self.weights.tracking / basis.num_intervals
-        lateral, scale = self._lateral(rollout), share * float(lengths.sum())
-        normals = self.reference.normals
+        share, lateral, normals = (
+            self.weights.tracking / basis.num_intervals,
+            self._lateral(rollout),
+            self.reference.normals,
+        )
+        scale = 2.0 * share * float(lengths.sum())
         moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
-        gradient += 2.0 * scale * (lateral @ moved)
-        gradient[knots:] += share * float(lateral @ lateral)
-        hessian += 2.0 * scale * (moved.T @ moved)
+        gradient, hessian = (scale * lateral) @ moved, scale * (moved.T @ moved)
+        by_bend, by_jerk = bend @ curvature, jerk @ curvature
+        gradient[:knots] += per_knot * by_bend + by_jerk / per_knot + turning @ curvature
+        hessian[:knots, :knots] += per_knot * bend + jerk / per_knot + turning
+        bends, jerks = (0.5 * (curvature * force) @ basis.knot_members for force in (by_bend, by_jerk))
+        gradient[knots:] += self.weights.length + bends - jerks / lengths**2 + share * float(lateral @ lateral)
+        hessian.ravel()[knots * (basis.size + 1) :: basis.size + 1] += 2.0 * jerks / lengths**3
         return Quadratic(gradient, hessian)
 
     def of_clothoids(self, path: Path, final_straight: float) -> float:

@@ -14,14 +14,14 @@ import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment, Path
-from smoothers.scp.rollout import Variables, roll_out
+from smoothers.scp.rollout import Rollout, Variables, displacements, in_order, roll_out
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
-    from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GoalProjectionSettings
 
 __all__ = [
@@ -36,7 +36,20 @@ __all__ = [
     "rate_is_kept",
 ]
 
+_KERNEL = Kernel("optdock_project_and_roll_out", sizes=6, numbers=6)
 
+
+def _project_native(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
+    count = 4 * nlp.basis.num_nodes + 6 * nlp.basis.num_intervals
+    inner, alternations = nlp.inner_bounds, nlp.settings.projection.alternations
+    rates = nlp.bounds.rate, inner.rate
+    found, out = _run(
+        nlp.basis, variables, nlp.ends, (nlp.bounds, inner), nlp.settings.projection, (alternations, *rates)
+    )
+    return found, Rollout.within(out[:count], nlp.basis)
+
+
+@twin_of(_project_native)
 def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
     """Return variables projected onto the goal, or limited in rate if that is impossible, and their roll-out."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
@@ -51,46 +64,93 @@ def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[V
     return projected, roll_out(basis, projected, ends.start, ends.signs)
 
 
+def _run(
+    basis: Basis,
+    variables: Variables,
+    ends: Ends,
+    bounds: tuple[VariableBounds, VariableBounds],
+    settings: GoalProjectionSettings,
+    more: tuple[int, float, float],
+) -> tuple[Variables, FloatArray]:
+    """Return the result of the kernel and its array `out`; `more`: number of alternations and both rates."""
+    size, count = basis.size, 4 * basis.num_nodes + 6 * basis.num_intervals
+    limits = bounds[0].lower, bounds[0].upper, bounds[1].lower, bounds[1].upper
+    given = np.concatenate((*variables, ends.start, ends.signs, ends.target, *limits))
+    out = np.empty(count + 7 * size)
+    arrays = (
+        (basis.packed, basis.packed.size),
+        (basis.divisions, 2 * basis.num_gears),
+        (given, 5 * size + 6 + basis.num_gears),
+        (out, count + 7 * size),
+    )
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, settings.max_steps, more[0]
+    numbers = settings.tolerance, settings.renew, settings.contraction, ends.reach, more[1], more[2]
+    _KERNEL(sizes, numbers, arrays)
+    return Variables(out[count : count + basis.num_knots], out[count + basis.num_knots : count + size]), out
+
+
+def _onto_goal_native(
+    basis: Basis, variables: Variables, ends: Ends, bounds: VariableBounds, settings: GoalProjectionSettings
+) -> Variables:
+    return _run(basis, variables, ends, (bounds, bounds), settings, (-1, bounds.rate, bounds.rate))[0]
+
+
+@twin_of(_onto_goal_native)
 def onto_goal(
     basis: Basis, variables: Variables, ends: Ends, bounds: VariableBounds, settings: GoalProjectionSettings
 ) -> Variables:
     """Return the variables after Newton steps of least norm within `bounds`, as long as the error contracts (S6)."""
     pose, moves = end_pose(basis, variables, ends.start, ends.signs)
     error = pose - ends.target
-    size, flat, knots = _largest(error), np.concatenate(variables), basis.num_knots
-    inverse: FloatArray | None = None
+    size, flat = np.abs(error).max(), np.concatenate(variables)
+    jacobian: FloatArray | None = None
     for _ in range(settings.max_steps):
         if not settings.tolerance <= size <= ends.reach:
             break
-        if inverse is None or size > settings.renew:
-            inverse = _bounded_inverse(end_sensitivity(basis, variables, moves), error, flat, bounds)
-        moved = np.clip(flat - inverse @ error, bounds.lower, bounds.upper)
-        trial = Variables(moved[:knots], moved[knots:])
+        if jacobian is None or size > settings.renew:
+            jacobian = _restricted(end_sensitivity(basis, variables, moves), error, flat, bounds)
+        moved = np.clip(flat - _least_norm(jacobian, error), bounds.lower, bounds.upper)
+        trial = Variables(moved[: basis.num_knots], moved[basis.num_knots :])
         pose, driven = end_pose(basis, trial, ends.start, ends.signs)
         found = pose - ends.target
-        if _largest(found) > settings.contraction * size:
+        if not np.abs(found).max() <= settings.contraction * size:
             break
-        flat, variables, moves, error, size = moved, trial, driven, found, _largest(found)
+        flat, variables, moves, error, size = moved, trial, driven, found, np.abs(found).max()
     return variables
 
 
-def _largest(error: FloatArray) -> float:
-    return float(max(abs(error[0]), abs(error[1]), abs(error[2])))
-
-
-def _bounded_inverse(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: VariableBounds) -> FloatArray:
-    """Return the pseudo-inverse of the goal derivatives, Shape (size, 3), for variables that stay in their bounds."""
+def _restricted(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: VariableBounds) -> FloatArray:
+    """Return the goal derivatives, Shape (3, size), without variables that are fixed or would leave their bounds."""
     free = bounds.upper > bounds.lower
-    inverse = _pseudo_inverse(jacobian * free)
-    moved = flat - inverse @ error
+    inside = jacobian * free
+    moved = flat - _least_norm(inside, error)
     outside = free & ((moved < bounds.lower) | (moved > bounds.upper))
-    return _pseudo_inverse(jacobian * (free & ~outside)) if outside.any() else inverse
+    return jacobian * (free & ~outside) if outside.any() else inside
 
 
-def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
-    normal = jacobian @ jacobian.T
-    normal[np.arange(3), np.arange(3)] += 1e-12
-    return np.asarray(np.linalg.solve(normal, jacobian).T, dtype=np.float64)
+def _least_norm(jacobian: FloatArray, error: FloatArray) -> FloatArray:
+    """Return the change of least norm, Shape (size,), whose effect on the end is `error`, Shape (3,); 0 if singular."""
+    a, b, c = _solved(in_order(jacobian[:, None] * jacobian, 2), error)
+    change: FloatArray = jacobian[0] * a + jacobian[1] * b + jacobian[2] * c
+    return change
+
+
+def _solved(normal: FloatArray, error: FloatArray) -> tuple[float, float, float]:
+    """Return the solution of a system of three equations with a symmetric matrix by its factors L D L'."""
+    (a, _, _), (b, c, _), (d, e, f) = normal.tolist()
+    x, y, z = error.tolist()
+    a, c, f = a + 1e-12, c + 1e-12, f + 1e-12
+    first, second = b / a, d / a
+    c, e = c - first * b, e - second * b
+    third = e / c if c > 0.0 else 0.0
+    f = f - second * d - third * e
+    if not (a > 0.0 and c > 0.0 and f > 0.0):
+        return 0.0, 0.0, 0.0
+    y = y - first * x
+    z = z - second * x - third * y
+    z = z / f
+    y = y / c - third * z
+    return x / a - first * y - second * z, y, z
 
 
 def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -99,31 +159,24 @@ def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: Float
     There are two displacements per interval, one for each node of the quadrature of its headings.
     """
     curvature, lengths = variables
-    turned = lengths[basis.knot_gear] * curvature
-    yaw = start[2] + basis.gauss_headings @ turned
-    weight = basis.gauss_shares @ (lengths * signs)
-    moves = np.empty((yaw.size, 2))
-    np.multiply(weight, np.cos(yaw), out=moves[:, 0])
-    np.multiply(weight, np.sin(yaw), out=moves[:, 1])
-    pose = np.array(start)
-    pose[:2] += moves.sum(axis=0)
-    pose[2] += basis.node_headings[-1] @ turned
+    moves, pose = displacements(basis, variables, start, signs), np.array(start)
+    pose[:2] = in_order(np.concatenate((start[None, :2], moves[::2] + moves[1::2])))
+    pose[2] += in_order(basis.node_headings[-1] * (lengths[basis.knot_gear] * curvature))
     return pose, moves
 
 
 def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> FloatArray:
     """Return the derivatives of the last pose, Shape (3, size), from the moves of the roll-out."""
-    knots, lengths = basis.num_knots, variables.lengths[basis.knot_gear]
-    masked = basis.knot_members * variables.curvature[:, None]
-    weighted = moves.T @ basis.gauss_headings  # (2, num_knots)
+    knots, (curvature, lengths) = basis.num_knots, variables
+    weighted = np.empty((3, knots))
+    rows = basis.packed[: len(moves)]  # `gauss_headings`, stored by rows
+    weighted[0], weighted[1] = -in_order(rows * moves[:, 1:]), in_order(rows * moves[:, :1])
+    weighted[2] = basis.node_headings[-1]
     out = np.empty((3, basis.size))
-    np.multiply(-weighted[1], lengths, out=out[0, :knots])
-    np.multiply(weighted[0], lengths, out=out[1, :knots])
-    out[0, knots:], out[1, knots:] = -weighted[1] @ masked, weighted[0] @ masked
-    last = basis.node_headings[-1]
-    out[2, :knots] = last * lengths
-    out[2, knots:] = last @ masked
-    out[:2, knots:] += (moves.T @ basis.gauss_members) / variables.lengths
+    np.multiply(weighted, lengths[basis.knot_gear], out=out[:, :knots])
+    for m, own in enumerate(basis.own_knots):
+        out[:, knots + m] = in_order(weighted[:, own] * curvature[own], 1)
+        out[:2, knots + m] += in_order(moves[basis.own_moves[m]]) / lengths[m]
     return out
 
 
@@ -157,8 +210,8 @@ def limit_rate(basis: Basis, variables: Variables, bounds: VariableBounds) -> Va
 
 def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> bool:
     """Whether the curvature rate is within its bound."""
-    slopes = basis.span_slopes @ variables.curvature
-    return bool(np.all(np.abs(slopes) <= bounds.rate * variables.lengths[basis.span_gear] * (1.0 + 1e-12)))
+    slopes = np.abs(basis.slopes(variables.curvature))
+    return bool(np.all(slopes <= bounds.rate * variables.lengths[basis.span_gear] * (1.0 + 1e-12)))
 
 
 def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float) -> Path:
@@ -178,7 +231,7 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
         )  # at the beginning of the straight
         jacobian = end_sensitivity(basis, variables, end_pose(basis, variables, ends.start, ends.signs)[1])
         flat = np.concatenate(variables)
-        moved = flat - _bounded_inverse(jacobian, error, flat, nlp.bounds) @ error
+        moved = flat - _least_norm(_restricted(jacobian, error, flat, nlp.bounds), error)
         moved = np.clip(moved, nlp.bounds.lower, nlp.bounds.upper)
         variables = Variables(moved[: basis.num_knots], moved[basis.num_knots :])
         splines = _chained(basis, variables, ends, final_straight)
@@ -196,10 +249,15 @@ def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: flo
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):
-        knots = np.linspace(0.0, variables.lengths[m], last - first + 1)
-        curvature = variables.curvature[first : last + 1]
-        if m == basis.num_gears - 1 and final_straight > 0.0:
-            knots, curvature = np.append(knots, knots[-1] + final_straight), np.append(curvature, 0.0)
+        length, count = variables.lengths[m], last - first + 1
+        is_extended = m == basis.num_gears - 1 and final_straight > 0.0
+        knots, curvature = np.zeros(count + is_extended), np.zeros(count + is_extended)
+        knots[:count], curvature[:count] = (
+            np.arange(count) * (length / (count - 1)),
+            variables.curvature[first : last + 1],
+        )
+        knots[count - 1] = length
+        knots[count:] = length + final_straight
         spline = ClothoidSpline(pose, knots, curvature, int(ends.signs[m]))
         splines.append(spline)
         pose = spline.end

@@ -16,8 +16,8 @@ import numpy as np
 
 from optdock.deadline import never_late
 from smoothers.scp.collision.clearance_along import clearance_along
-from smoothers.scp.collision.linearization import active_pairs, linearized_clearance
-from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
+from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
+from smoothers.scp.goal_projection import project_and_roll_out
 from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
 from smoothers.scp.term_rows import linearized_terms, terms_along
@@ -58,23 +58,20 @@ class Iterate(NamedTuple):
     end_error: FloatArray  # Shape (3,) [m, m, rad]
     on_goal: bool  # whether the path ends at the target
     feasible: bool  # whether the path may be certified
+    shortfall: float  # largest shortfall of clearance, view or a hard term [m]
+    short: float  # sum of the shortfalls in all zones [m]
+    missed: float  # sum of the absolute end errors [m, rad]
     view: SeenPlaces | None = None  # view margins, or None without a required view
     terms: TermsAlong | None = None  # terms of the user, or None
 
     @property
-    def shortfall(self) -> float:
-        """Largest shortfall of clearance, view or a hard term [m]."""
-        return float(self.zones.max())
-
-    @property
     def missing(self) -> float:
         """Sum of the goal error and the shortfalls in all zones [m, rad]."""
-        return float(self.zones.sum() + np.abs(self.end_error).sum())
+        return self.short + self.missed
 
     def merit(self, penalties: Penalties) -> float:
         """Return the cost plus penalties."""
-        missed, short = float(np.abs(self.end_error).sum()), float(self.zones.sum())
-        return self.cost + penalties.clearance * short + penalties.goal * missed
+        return self.cost + penalties.clearance * self.short + penalties.goal * self.missed
 
 
 class Progress(NamedTuple):
@@ -166,10 +163,14 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         terms.short[[0, -1]] -= settings.end_allowance  # as above
         np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
         cost += terms.cost
-    error = nlp.ends.error(rollout)
-    on_goal = float(np.abs(error).max()) <= settings.goal_tolerance
-    feasible = on_goal and float(zones.max()) <= settings.clearance_tolerance
-    return Iterate(variables, rollout, cost, found, zones, error, on_goal, feasible, view, terms)
+    error, shortfall = nlp.ends.error(rollout), float(zones.max())
+    x, y, yaw = np.abs(error).tolist()
+    on_goal = x <= settings.goal_tolerance and y <= settings.goal_tolerance and yaw <= settings.goal_tolerance
+    feasible = on_goal and shortfall <= settings.clearance_tolerance
+    missing, missed = float(zones.sum()), x + y + yaw
+    return Iterate(
+        variables, rollout, cost, found, zones, error, on_goal, feasible, shortfall, missing, missed, view, terms
+    )
 
 
 def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subproblem:
@@ -177,7 +178,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     buffer = settings.buffer + state.overshoot(current)
     by = sensitivity(basis, current.variables, rollout)
-    goal = end_sensitivity(basis, current.variables, rollout.moves), current.end_error
+    goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), current.end_error
     share = float(current.variables.lengths.sum()) / basis.num_intervals
     motion = share * (by.x.T @ by.x + by.y.T @ by.y + settings.yaw_motion * (by.yaw.T @ by.yaw))
     most = settings.clearance_rows[-1]
@@ -193,9 +194,11 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
         rows, quadratic = rows.joined(bounded), quadratic.plus(added)
     rows = rows.lowest(most)
     # The buffer vanishes at the ends, where the pose cannot move.
-    away = [np.hypot(*(rollout.poses[:, :2] - point[:2]).T) for point in (nlp.ends.start, nlp.ends.target)]
-    wanted = buffer * np.minimum(1.0, np.minimum(away[0], away[1]) / settings.buffer_taper)
-    rows = rows._replace(gap=rows.gap - wanted[rows.node])
+    place, start, target = rollout.poses[rows.node], nlp.ends.start, nlp.ends.target
+    from_start = np.hypot(place[:, 0] - start[0], place[:, 1] - start[1])
+    to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
+    wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
+    rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
     return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
 
 

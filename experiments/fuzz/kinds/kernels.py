@@ -1,4 +1,4 @@
-"""Kernels in C against their NumPy twins: bounds of stretches, also degenerate ones, and whole proofs of clearance.
+"""Kernels in C against their NumPy twins: bounds of stretches, also degenerate ones, whole proofs, and roll-outs.
 
 Both must be equal to the last bit. Stretches are drawn with bodies and obstacles that touch or overlap, in tiny cells,
 at huge coordinates, and with NaN and infinite numbers.
@@ -6,7 +6,8 @@ at huge coordinates, and with NaN and infinite numbers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -23,31 +24,59 @@ from optdock.verification import stretch_bounds
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.proximity import bounded_footprint
 from optdock.verification.stretch_bounds import Advances
+from smoothers.scp.basis import basis_for
+from smoothers.scp.collision.clearance_along import clearance_along
+from smoothers.scp.collision.collision_scene import Scene, scene_around
+from smoothers.scp.collision.linearization import separating_plane_rows
+from smoothers.scp.cost import CostModel
+from smoothers.scp.goal_projection import onto_goal, project_and_roll_out
+from smoothers.scp.nlp import Ends, NonlinearProgram, TracedInput, VariableBounds
+from smoothers.scp.rollout import Variables, roll_out, sensitivity
+from smoothers.scp.settings import DEFAULT_SETTINGS
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from optdock.geometry.arrays import FloatArray
     from optdock.verification.proximity import BoundedBody
 
-__all__ = ["DEGENERATE", "draw", "drawn_shapes", "drawn_stretches", "is_equal", "judge", "replaced"]
+__all__ = [
+    "BENT",
+    "DEGENERATE",
+    "draw",
+    "drawn_program",
+    "drawn_shapes",
+    "drawn_stretches",
+    "is_equal",
+    "judge",
+    "replaced",
+    "rolled",
+]
 
 DEGENERATE = ("none", "touching", "tiny", "huge", "still", "nan", "inf")
+_ROLL_OUTS = 0.3  # share of the cases that are roll-outs of the smoother
 _PROOFS = 0.2  # share of the cases that are whole proofs
 _SETS = 10  # of stretches for every body and its obstacles
 _FAR = 1e7  # [m]
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """Draw a path problem, or the seed and the degeneracy of stretches."""
+    """Draw a path problem, or the seed and the degeneracy of stretches or of a roll-out."""
+    if rng.uniform() < _ROLL_OUTS:
+        return {**path_problem(rng), "kind": "kernels", "degenerate": str(rng.choice(BENT)), "roll_out": _seed(rng)}
     if rng.uniform() < _PROOFS:
         return {**path_problem(rng), "kind": "kernels", "degenerate": None}
-    return {"kind": "kernels", "degenerate": str(rng.choice(DEGENERATE)), "seed": int(rng.integers(2**31))}
+    return {"kind": "kernels", "degenerate": str(rng.choice(DEGENERATE)), "seed": _seed(rng)}
 
 
 def judge(case: Case) -> Verdict:
     """Compare both lanes."""
-    found = _proofs(case) if case["degenerate"] is None else _stretches(case)
+    run = _roll_outs if "roll_out" in case else _proofs if case["degenerate"] is None else _stretches
+    found = run(case)
     return Verdict("kernel differs", replaced()) if replaced() else found
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**31))
 
 
 def replaced() -> str:
@@ -137,3 +166,76 @@ def drawn_stretches(rng: np.random.Generator, degenerate: str) -> tuple[Advances
         spoiled = arrays[int(rng.integers(4))]
         spoiled.flat[int(rng.integers(spoiled.size))] = np.nan if degenerate == "nan" else rng.choice([-1, 1]) * np.inf
     return Advances(poses, rng.integers(0, k, n), velocity, *bounds), exact_within
+
+
+# Roll-outs of the smoother, with their projections, sensitivities, clearances and rows.
+
+BENT = ("none", "straight", "fixed", "astray", "rate", "short", "huge")
+_SHAPES = (((24, 2),), ((6, 3), (5, 2)), ((4, 2), (8, 5), (4, 12)), ((12, 4),))
+
+
+def _roll_outs(case: Case) -> Verdict:
+    try:
+        problem = problem_of(case)
+    except OptdockError as error:
+        return Verdict(f"input refused: {type(error).__name__}", str(error))
+    rng = np.random.default_rng(case["roll_out"])
+    nlp, variables = drawn_program(rng, problem.start.as_array(), case["degenerate"])
+    with using_kernels("twin"):
+        places = project_and_roll_out(nlp, variables)[1].poses[:, :2]
+    scene = scene_around(problem, places, float(rng.uniform(0.0, 0.1)), DEFAULT_SETTINGS.collision)
+    scene = replace(scene, start_relief=float(rng.choice([0.0, 0.4])))
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            found.append(rolled(replace(nlp, scene=scene), variables))
+    # The largest of 0.0 and -0.0 is either, so zeros are compared without their signs.
+    differing = [i for i, both in enumerate(zip(*found, strict=True)) if not np.array_equal(*both)]
+    return Verdict("kernel differs", f"roll-out: {differing}") if differing else Verdict("equal roll-outs")
+
+
+def drawn_program(rng: np.random.Generator, start: FloatArray, degenerate: str) -> tuple[NonlinearProgram, Variables]:
+    """Draw bounds, a target and variables; see `BENT` for the last argument. The program has no cost and no scene."""
+    basis = basis_for(_SHAPES[int(rng.integers(len(_SHAPES)))])
+    lengths = rng.uniform(0.1, 2.0, basis.num_gears) * (1e-9 if degenerate == "short" else 1.0)
+    curvature = rng.uniform(-2.0, 2.0, basis.num_knots) * rng.choice([0.01, 0.3, 1.0])
+    signs = rng.choice([-1.0, 1.0], basis.num_gears)
+    curvature *= 0.0 if degenerate == "straight" else 1.0
+    start = start + np.array([_FAR, -_FAR, 0.0]) * (degenerate == "huge")
+    with using_kernels("twin"):
+        end = roll_out(basis, Variables(curvature, lengths), start, signs).poses[-1]
+    away = 1.0 if degenerate == "astray" else rng.choice([0.0, 1e-6, 1e-3, 0.1])
+    limit = np.full(basis.num_knots, 1.5)
+    lower, upper = np.concatenate((-limit, 1e-12 * lengths)), np.concatenate((limit, 9.0 * lengths))
+    if degenerate == "fixed":
+        lower[0] = upper[0] = rng.choice([0.0, 0.4])
+        lower[basis.num_knots - 1] = upper[basis.num_knots - 1] = 0.0
+    rate = float(rng.choice([0.1, 1.0, 6.0])) if degenerate == "rate" else float(rng.choice([30.0, np.inf]))
+    nlp = NonlinearProgram(
+        basis,
+        Ends(start, end + away * rng.normal(size=3), signs, float(rng.choice([0.5, 5.0]))),
+        VariableBounds(lower, upper, rate),
+        VariableBounds(0.999 * lower, 0.999 * upper, 0.99 * rate),
+        cast(CostModel, None),
+        cast(Scene, None),
+        cast(TracedInput, None),
+        lengths,
+        0.5,
+        DEFAULT_SETTINGS,
+    )
+    return nlp, Variables(curvature, lengths)
+
+
+def rolled(nlp: NonlinearProgram, variables: Variables) -> list[FloatArray]:
+    """Return all arrays of the projection of variables, and of its clearance and rows if the program has a scene."""
+    basis, ends = nlp.basis, nlp.ends
+    projected, driven = project_and_roll_out(nlp, variables)
+    closed = onto_goal(basis, variables, ends, nlp.bounds, nlp.settings.projection)
+    given, by = roll_out(basis, variables, ends.start, ends.signs), sensitivity(basis, projected, driven)
+    found = [*projected, *driven, *closed, *given, *by]
+    if nlp.scene is not None:
+        near = clearance_along(nlp.scene, basis, driven, ends.signs, 0.3)
+        every = np.arange(near.margin.size)
+        rows = separating_plane_rows(basis, driven, by, near, every, nlp.scene.settings)
+        found += [near.table, *near.pairs, *near.required, *rows]
+    return found

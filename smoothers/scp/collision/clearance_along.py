@@ -11,7 +11,15 @@ import numpy as np
 
 from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.broad_phase import Pairs, broad_phase
-from smoothers.scp.collision.collision_scene import LEAVING, Points, body_at_nodes
+from smoothers.scp.collision.collision_scene import (
+    DOCKING,
+    FULL,
+    LEAVING,
+    RULE_NUMBERS,
+    UNDOCKING,
+    Requirement,
+    body_at_nodes,
+)
 from smoothers.scp.collision.narrow_phase import Clearance, narrow_phase
 
 if TYPE_CHECKING:
@@ -23,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["clearance_along"]
 
 _KERNEL = Kernel("optdock_clearance_along", sizes=11, numbers=4)
-assert LEAVING == 2  # a constant of the kernel
+assert (DOCKING, FULL, LEAVING, UNDOCKING) == (0, 1, 2, 3)  # constants of the kernel
 
 
 def clearance_along(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
@@ -48,23 +56,21 @@ def _by_numpy(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, r
 
 
 def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
-    settings, required, yaw = scene.settings, scene.required(rollout.poses[:, :2]), rollout.poses[:, 2]
-    (parts, v, _), (count, k, _) = scene.body.vertices.shape, scene.obstacles.vertices.shape
+    settings, (count, k, _) = scene.settings, scene.obstacles.vertices.shape
+    parts, v, _ = scene.body.vertices.shape
     nodes, rows = basis.num_nodes, parts * basis.num_intervals
     room = rows * count
     most = min(room, max(settings.few_pairs, rows * settings.nearest * settings.nearest_close))
     width = 6 * v + 2 * k + 4
-    motion = (rollout.poses, np.cos(yaw), np.sin(yaw), rollout.curvature, required.value, required.leaving)
-    by_interval = (rollout.steps, rollout.rate, signs[basis.interval_gear])
-    pairs, out = np.empty(3 * most, dtype=np.int64), np.empty(width * most)
-    size = 2 * parts * nodes * (v + 2) + 8 * rows + room + 8 * v
+    found, out = np.empty(nodes + 3 * most, dtype=np.int64), np.empty(4 * nodes + width * most)
+    size = 2 * parts * nodes * (v + 2) + 8 * rows + room + 8 * v + 2 * nodes
     arrays = (
-        (scene.packed, parts * (5 * v + 4) + count * (4 * k + 4)),
-        (np.concatenate([part.ravel() for part in (*motion, *by_interval)]), 8 * nodes + 3 * basis.num_intervals),
-        (required.rule, nodes),
+        (scene.packed, parts * (5 * v + 4) + count * (4 * k + 4) + RULE_NUMBERS),
+        (rollout.packed, 4 * nodes + 6 * basis.num_intervals),
+        (signs, basis.num_gears),
         (basis.left, basis.num_intervals),
-        (pairs, 3 * most),
-        (out, width * most),
+        (found, found.size),
+        (out, out.size),
         (np.empty(size), size),
         (np.empty(4 * room + rows, dtype=np.int64), 4 * room + rows),
     )
@@ -72,19 +78,10 @@ def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, 
     selection = (settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices)
     close = scene.rule.required + settings.surely_kept
     p = _KERNEL((*counts, *selection), (scene.body.radius, reach, close, settings.lowest_slope), arrays)
-    interval, part, obstacle = pairs[: 3 * p].reshape(3, p)
-    table = out[: width * p].reshape(width, p)
-    hull, axis, heights, outline = 4 * v, 4 * v + 2, 6 * v + 2, 6 * v + 2 + 2 * k
-    return Clearance(
-        Pairs(interval, part, obstacle),
-        Points(table[: 2 * v], table[2 * v : hull]),
-        Points(table[hull : hull + 1], table[hull + 1 : axis]),
-        table[axis:heights],
-        Points(table[heights : heights + k], table[heights + k : outline]),
-        table[outline],
-        table[outline + 1],
-        required,
-    )
+    gradient = out[nodes : 3 * nodes].reshape(nodes, 2)
+    required = Requirement(out[:nodes], gradient, found[:nodes], out[3 * nodes : 4 * nodes])
+    table = out[4 * nodes : 4 * nodes + width * p].reshape(width, p)
+    return Clearance.within(table, 2 * v, Pairs(*found[nodes : nodes + 3 * p].reshape(3, p)), required)
 
 
 _along = twin_of(_by_kernel)(_by_numpy)

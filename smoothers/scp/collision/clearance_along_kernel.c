@@ -2,7 +2,7 @@
  *
  * The broad phase and the narrow phase are those of `broad_phase.py` and `narrow_phase.py`, whose docstrings derive the
  * bounds; equation numbers are those of docs/theory/smoother.md. Sums and products are evaluated in the order of the
- * twins, and angles enter as sines and cosines that NumPy has computed, so the results are equal to the last bit. A
+ * twins, with the sines and cosines of the C library; where NumPy uses the same, results are equal to the last bit. A
  * search for a path uses them; the certificate does not. */
 
 #include <math.h>
@@ -36,7 +36,8 @@ typedef struct {
     const double *poses;                 /* (nodes, 3) [m, m, rad] */
     const double *cosine, *sine, *kappa; /* (nodes,) */
     const double *required, *leaving;    /* (nodes,) [m], see `Requirement` */
-    const double *steps, *rate, *signs;  /* (intervals,) */
+    const double *steps, *rate;          /* (intervals,) */
+    const double *signs;                 /* (gears,) */
     const int64_t *rule;                 /* (nodes,), deciding part of the clearance rule; 2: LEAVING */
     const int64_t *left;                 /* (intervals,), node at which the interval begins */
 } Motion;
@@ -61,6 +62,57 @@ static double dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y; }
 static double across(Vector axis, Vector point) { return axis.x * point.y - axis.y * point.x; }
 
 static Vector at(const double *points, int64_t i) { return (Vector){points[2 * i], points[2 * i + 1]}; }
+
+/* ---- Required clearance ---- */
+
+/* The clearance rule, in the order of `Scene.packed`; at_start is infinite where it does not apply. */
+typedef struct {
+    Vector goal, start;
+    double required, at_dock, taper, dock_run, at_start, least_leaving, relief, relief_slope;
+} Rule;
+
+static double tapered(const Rule *rule, double distance, double lowest)
+{
+    double beyond = most(distance - rule->dock_run, 0.0);
+    double share = rule->taper > 0.0 ? least(beyond, rule->taper) / rule->taper : beyond > 0.0 ? 1.0 : 0.0;
+    return lowest + (rule->required - lowest) * share;
+}
+
+static double taper_slope(const Rule *rule, double distance, double lowest)
+{
+    int rises = rule->dock_run <= distance && distance < rule->dock_run + rule->taper;
+    return rises && rule->taper > 0.0 ? (rule->required - lowest) / rule->taper : 0.0;
+}
+
+/* Write the requirement at all nodes, in the order of `Requirement`, as the function `Scene.required`. */
+static void write_required(const Rule *rule, int64_t nodes, const double *poses, double *value, double *gradient,
+                           int64_t *part, double *leaving)
+{
+    for (int64_t i = 0; i < nodes; i++) {
+        Vector to_goal = {poses[3 * i] - rule->goal.x, poses[3 * i + 1] - rule->goal.y};
+        Vector to_start = {poses[3 * i] - rule->start.x, poses[3 * i + 1] - rule->start.y};
+        double from_goal = hypot(to_goal.x, to_goal.y), from_start = hypot(to_start.x, to_start.y);
+        double docking = tapered(rule, from_goal, rule->at_dock), slope = 0.0;
+        leaving[i] = rule->least_leaving + rule->relief_slope * most(0.0, from_start - rule->relief);
+        value[i] = least(docking, leaving[i]);
+        part[i] = leaving[i] <= docking ? 2 : from_goal < rule->dock_run + rule->taper ? 0 : 1;
+        if (from_start > rule->relief)
+            slope = rule->relief_slope;
+        if (isfinite(rule->at_start)) {
+            double undocking = tapered(rule, from_start, rule->at_start);
+            if (undocking < value[i]) {
+                value[i] = undocking;
+                part[i] = 3;
+                slope = taper_slope(rule, from_start, rule->at_start);
+            }
+        }
+        Vector away = part[i] >= 2 ? to_start : to_goal;
+        double share = part[i] >= 2 ? slope / most(from_start, 1e-9)
+                                    : taper_slope(rule, from_goal, rule->at_dock) / most(from_goal, 1e-9);
+        gradient[2 * i] = share * away.x;
+        gradient[2 * i + 1] = share * away.y;
+    }
+}
 
 /* ---- Broad phase ---- */
 
@@ -391,7 +443,7 @@ static double sag(Counts n, const Scene *scene, const Motion *motion, const Pair
         double kappa = motion->kappa[node];
         Vector corner = pair->hull[end * n.v + i];
         double along = dot(axis, corner) - dot(axis, place), beside = across(axis, corner) - across(axis, place);
-        double lateral = motion->signs[interval] * kappa *
+        double lateral = motion->signs[left - interval] * kappa *
                          (axis.y * motion->cosine[node] - axis.x * motion->sine[node]);
         double found = lateral - rate * beside - kappa * kappa * along;
         bend = end == 0 ? found : most(bend, found);
@@ -448,30 +500,42 @@ static void write_pair(Counts n, const Scene *scene, const Motion *motion, const
  *
  *   parts ... lowest_vertices   see `Counts` and `Scene`
  *   radius ... lowest_slope     see `Scene`
- *   scene     vertices, normals, reach, low, high of the body, then outline, edges, lower, upper of the obstacles
- *   motion    poses, cosine, sine, kappa, required, leaving, steps, rate, signs
- *   rule      (nodes,); left: (intervals,)
- *   pairs     out, (3, p): interval, part and obstacle
- *   out       out, (6 v + 2 k + 4, p), see `write_pair`; p is at most parts intervals times the smaller of obstacles
- *             and nearest_close nearest, or few
- *   work      2 parts (v + 2) nodes + 8 parts intervals + parts intervals obstacles + 8 v numbers
+ *   scene     see `Scene.packed`: vertices, normals, reach, low, high of the body, outline, edges, lower, upper of the
+ *             obstacles, then the numbers of `Rule`
+ *   rollout   see `Rollout.packed`: poses, kappa, rate, steps
+ *   signs     (gears,); left: (intervals,)
+ *   pairs     out, (nodes + 3 p,): rule of the requirement, see `Requirement`; interval, part and obstacle
+ *   out       out, (4 nodes + (6 v + 2 k + 4) p,): value, gradient (nodes, 2) and leaving of the requirement, and the
+ *             table of `write_pair`; p is at most parts intervals times the smaller of obstacles and
+ *             nearest_close nearest, or few
+ *   work      2 parts (v + 2) nodes + 8 parts intervals + parts intervals obstacles + 8 v + 2 nodes numbers
  *   indices   work, 4 parts intervals obstacles + parts intervals
  *
  * Return p, the number of pairs. */
 int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int64_t k, int64_t nodes,
                                 int64_t intervals, int64_t few, int64_t nearest, int64_t nearest_close,
                                 int64_t together, int64_t lowest_vertices, double radius, double near, double close,
-                                double lowest_slope, const double *scene_arrays, const double *motion_arrays,
-                                const int64_t *rule, const int64_t *left, int64_t *pairs, double *out, double *work,
+                                double lowest_slope, const double *scene_arrays, const double *rollout,
+                                const double *signs, const int64_t *left, int64_t *pairs, double *out, double *work,
                                 int64_t *indices)
 {
     Counts n = {parts, v, obstacles, k, nodes, intervals};
-    const double *a = scene_arrays, *b = a + parts * (5 * v + 4), *m = motion_arrays + 3 * nodes;
+    const double *a = scene_arrays, *b = a + parts * (5 * v + 4), *rate = rollout + 4 * nodes;
+    const Rule *rule = (const Rule *)(b + obstacles * (4 * k + 4));
     Scene scene = {a, a + 2 * parts * v, a + 4 * parts * v, a + 5 * parts * v, a + parts * (5 * v + 2),
                    b, b + 2 * obstacles * k, b + 4 * obstacles * k, b + obstacles * (4 * k + 2),
                    radius, near, close, few, nearest, nearest_close, together, lowest_vertices, lowest_slope};
-    Motion motion = {motion_arrays, m, m + nodes, m + 2 * nodes, m + 3 * nodes, m + 4 * nodes, m + 5 * nodes,
-                     m + 5 * nodes + intervals, m + 5 * nodes + 2 * intervals, rule, left};
+    double *cosine = work, *sine = work + nodes;
+    Motion motion = {rollout, cosine, sine, rollout + 3 * nodes, out, out + 3 * nodes, rate + intervals, rate, signs,
+                     pairs, left};
+    write_required(rule, nodes, rollout, out, out + nodes, pairs, out + 3 * nodes);
+    for (int64_t i = 0; i < nodes; i++) {
+        cosine[i] = cos(rollout[3 * i + 2]);
+        sine[i] = sin(rollout[3 * i + 2]);
+    }
+    pairs += nodes;
+    out += 4 * nodes;
+    work += 2 * nodes;
     int64_t columns = parts * nodes, rows = parts * intervals, room = rows * obstacles;
     Vector *vectors = (Vector *)work;
     Placed placed = {vectors, vectors + columns * v, vectors + columns * (v + 1)};

@@ -19,7 +19,20 @@ if TYPE_CHECKING:
     from optdock.model.clearance_rule import ClearanceRule
     from optdock.model.problem import DockingProblem
 
-__all__ = ["LEAVING", "Body", "BodyAtNodes", "Points", "Requirement", "Scene", "body_at_nodes", "scene_around"]
+__all__ = [
+    "DOCKING",
+    "FULL",
+    "LEAVING",
+    "RULE_NUMBERS",
+    "UNDOCKING",
+    "Body",
+    "BodyAtNodes",
+    "Points",
+    "Requirement",
+    "Scene",
+    "body_at_nodes",
+    "scene_around",
+]
 
 
 class Points(NamedTuple):
@@ -66,6 +79,7 @@ class Body(NamedTuple):
 
 # The part of the clearance rule that applies.
 DOCKING, FULL, LEAVING, UNDOCKING = range(4)
+RULE_NUMBERS = 12  # in `Scene.packed`
 
 
 class Requirement(NamedTuple):
@@ -97,11 +111,19 @@ class Scene:
 
     @cached_property
     def packed(self) -> FloatArray:
-        """Body and obstacles as one array, in the order of the kernel's `Scene`."""
+        """Body, obstacles and rule as one array, in the order of the kernel's `Scene` and `Rule`."""
         body, obstacles = self.body, self.obstacles
         of_body = (body.vertices, body.normals, body.reach, body.lower, body.upper)
-        parts = (*of_body, obstacles.vertices, obstacles.normals, obstacles.lower, obstacles.upper)
+        parts = (*of_body, obstacles.vertices, obstacles.normals, obstacles.lower, obstacles.upper, self._rule_numbers)
         return readonly(np.concatenate([part.ravel() for part in parts]))
+
+    @property
+    def _rule_numbers(self) -> FloatArray:
+        rule, relief = self.rule, self.start_relief
+        at_start = np.inf if rule.at_start is None or relief <= 0.0 else rule.at_start
+        least = rule.least_leaving(self.start_clearance, relief)
+        numbers = rule.required, rule.at_dock, rule.taper, rule.dock_run, at_start, least, relief, START_RELIEF_SLOPE
+        return np.array([*self.goal, *self.start, *numbers])
 
     def __post_init__(self) -> None:
         for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):

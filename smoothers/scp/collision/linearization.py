@@ -120,11 +120,50 @@ def linearized_clearance(
     rows = separating_plane_rows(basis, rollout, by, found, active.separated, scene.settings)
     if active.penetrating.size:
         pushing = covering_disc_rows(scene, basis, rollout, by, found, active.penetrating)
-        rows = ClearanceRows(*(np.concatenate(both) for both in zip(rows, pushing, strict=True)))
-    still = np.abs(rows.gradient).max(axis=1, initial=0.0) < 1e-9
-    return rows.subset(~(still & (rows.node <= 0)))
+        rows = rows.joined(pushing)
+    kept = rows.node > 0
+    if kept.all():
+        return rows
+    kept[~kept] = np.abs(rows.gradient[~kept]).max(axis=1, initial=0.0) >= 1e-9
+    return rows.subset(kept)
 
 
+_KERNEL = Kernel("optdock_separating_plane_rows", sizes=8, numbers=3)
+
+
+def _rows_native(
+    basis: Basis,
+    rollout: Rollout,
+    by: Sensitivity,
+    found: Clearance,
+    chosen: IntArray,
+    settings: CollisionSettings,
+) -> ClearanceRows:
+    (width, p), v2, count, size = found.table.shape, len(found.heights), chosen.size, basis.size
+    k = len(found.outline.x)
+    node, rows = np.empty(12 * count, np.int64), np.empty(3 * count * (size + 3) + 4 * (v2 + k))
+    arrays = (
+        (chosen, count),
+        (found.pairs.interval, p),
+        (basis.left, basis.num_intervals),
+        (found.table, width * p),
+        (rollout.poses, 3 * basis.num_nodes),
+        (found.required.gradient, 2 * basis.num_nodes),
+        (by.x, basis.num_nodes * size),
+        (by.y, basis.num_nodes * size),
+        (by.yaw, basis.num_nodes * size),
+        (node, node.size),
+        (rows, rows.size),
+    )
+    sizes = p, count, v2, k, basis.num_nodes, basis.num_intervals, size, settings.lowest_vertices
+    many = _KERNEL(sizes, (settings.support_slope, settings.same_witness, settings.lowest_slope), arrays)
+    if many < 0:
+        raise IndexError("chosen: must be columns of the pairs")
+    gap = 3 * count * size
+    return ClearanceRows(rows[: many * size].reshape(many, size), rows[gap : gap + many], node[:many])
+
+
+@twin_of(_rows_native)
 def separating_plane_rows(
     basis: Basis,
     rollout: Rollout,
@@ -164,34 +203,6 @@ class _Witness(NamedTuple):
     used: BoolArray
 
 
-_KERNEL = Kernel("optdock_witnesses", sizes=5, numbers=3)
-
-
-def _witnesses_native(found: Clearance, chosen: IntArray, settings: CollisionSettings) -> _Witness:
-    (v2, p), k, count = found.hull.x.shape, len(found.outline.x), chosen.size
-    vertices, used, values = np.empty((2, 3, count), np.int64), np.empty((3, count), np.int64), np.empty((2, 3, count))
-    arrays = (
-        (chosen, count),
-        (np.ascontiguousarray(found.axis.x), p),
-        (np.ascontiguousarray(found.axis.y), p),
-        (np.ascontiguousarray(found.hull.x), v2 * p),
-        (np.ascontiguousarray(found.hull.y), v2 * p),
-        (np.ascontiguousarray(found.heights), v2 * p),
-        (np.ascontiguousarray(found.outline.x), k * p),
-        (np.ascontiguousarray(found.outline.y), k * p),
-        (found.top, p),
-        (vertices, 6 * count),
-        (used, 3 * count),
-        (values, 6 * count),
-        (np.empty(4 * (v2 + k)), 4 * (v2 + k)),
-    )
-    sizes, numbers = (p, count, v2, k, settings.lowest_vertices), (settings.support_slope, settings.same_witness)
-    if _KERNEL(sizes, (*numbers, settings.lowest_slope), arrays) < 0:
-        raise IndexError("chosen: must be columns of the pairs")
-    return _Witness(vertices[0], vertices[1], values[0], values[1], used.astype(np.bool_))
-
-
-@twin_of(_witnesses_native)
 def _witnesses(found: Clearance, chosen: IntArray, settings: CollisionSettings) -> _Witness:
     axis, hull, outline = (points.columns(chosen) for points in (found.axis, found.hull, found.outline))
     along, height = hull.across(axis), found.heights[:, chosen]

@@ -51,6 +51,26 @@ class Clearance(NamedTuple):
     top: FloatArray  # Shape (p,) [m], largest n.q of the obstacle
     margin: FloatArray  # Shape (p,) [m], proven lower bound of clearance - required
     required: Requirement  # at every node
+    # memory of the arrays from `hull` to `margin`, in this order, Shape (6v + 2k + 4, p)
+    table: FloatArray
+
+    @classmethod
+    def within(cls, table: FloatArray, vertices: int, pairs: Pairs, required: Requirement) -> Clearance:
+        """Return the clearance whose arrays are views of `table`; `vertices`: number of hull vertices."""
+        axis, heights = 2 * vertices, 2 * vertices + 2
+        outline = heights + vertices
+        middle = (len(table) - 2 + outline) // 2
+        return cls(
+            pairs,
+            Points(table[:vertices], table[vertices:axis]),
+            Points(table[axis : axis + 1], table[axis + 1 : heights]),
+            table[heights:outline],
+            Points(table[outline:middle], table[middle:-2]),
+            table[-2],
+            table[-1],
+            required,
+            table,
+        )
 
 
 def narrow_phase(
@@ -71,7 +91,8 @@ def narrow_phase(
     heights[: len(dip)] -= dip
     heights[len(dip) :] -= dip
     top = outline.along(axis).max(axis=0)
-    return Clearance(pairs, hull, axis, heights, outline, top, heights.min(axis=0) - top, body.required)
+    rows = (*hull, *axis, heights, *outline, top[None], (heights.min(axis=0) - top)[None])
+    return Clearance.within(np.concatenate(rows), len(heights), pairs, body.required)
 
 
 def _both_ends(points: Points, column: IntArray) -> Points:

@@ -41,6 +41,7 @@ from optdock.ui import drawn_plan, scene_files, scene_maps
 from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
 from optdock.verification.clearance_kernel import packed_footprint
+from smoothers.scp import basis as basis_module
 from smoothers.scp import term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
@@ -294,6 +295,7 @@ SHARED = {
     "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
+    "_block": lambda: basis_module._block(8, 16),
     "_done": lambda: term_rows._done(basis_for(((8, 2),))),
     "node_shares": lambda: term_rows.node_shares(basis_for(((8, 2),))),
     "packed_footprint": lambda: packed_footprint(problem().robot.footprint),
