@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["EXACT", "UNBOUNDED", "DenseProgram", "QuadraticProgram", "minimizer"]
 
 UNBOUNDED = 1e30  # DAQP's value for infinity
-EXACT = 1e-10  # primal tolerance of DAQP that finds all active constraints; relative to the Hessian
+EXACT = 1e-12  # primal tolerance that finds all active constraints; relative to the Hessian
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 _AT_BOUND = 1e-9  # distance of active constraints from their bounds
 _MOST_ROUNDS = 1000
@@ -164,7 +164,7 @@ def _found_by_kernel(program: QuadraticProgram) -> FloatArray | None:
         (np.empty(n + 5 * m, dtype=np.int64), n + 5 * m),
         (np.empty(room), room),
     )
-    count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, _AT_BOUND), arrays)
+    count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, EXACT), arrays)
     return None if count < 0 else _minimizer_on(program, found[:count])
 
 

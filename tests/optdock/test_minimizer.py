@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from optdock import quadratic_program
 from optdock.kernels import using_kernels
 from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
 
@@ -79,15 +80,13 @@ def test_both_lanes_find_the_same_solution(seed):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("seed", range(40))
 def test_the_guess_does_not_change_the_solution(seed):
-    program, rng = random_program(seed), np.random.default_rng(seed)
+    program, rng, found = random_program(seed), np.random.default_rng(seed), quadratic_program._found_by_kernel
     total = program.bounds.shape[1]
-    with using_kernels("native"):
-        first = minimizer(program)
-        right = program.active_at(first)
-        wrong = rng.permutation(np.concatenate((np.arange(1, total + 1), -np.arange(1, total + 1))))
-        for guess in (right, right[::2].copy(), wrong, wrong[: total // 2], np.concatenate((right, -right))):
-            again = minimizer(program._replace(guess=guess))
-            assert again == pytest.approx(first, rel=1e-8, abs=1e-8)
+    first = found(program)
+    right = program.active_at(first)
+    wrong = rng.permutation(np.concatenate((np.arange(1, total + 1), -np.arange(1, total + 1))))
+    for guess in (right, right[::2].copy(), wrong, wrong[: total // 2], np.concatenate((right, -right))):
+        assert found(program._replace(guess=guess)) == pytest.approx(first, rel=1e-8, abs=1e-8)
 
 
 @in_both_lanes
