@@ -1,26 +1,58 @@
-"""Dense convex quadratic programs of fixed size, solved in place by DAQP [Arnstrom2022].
+"""Dense convex quadratic programs, solved by dual active-set methods.
 
-The construction of a program takes as long as several solutions, so each size is constructed once and solved
-repeatedly.
+A `DenseProgram` has a fixed size and is solved in place by DAQP [Arnstrom2022]. Its construction takes as long as
+several solutions, so each size is constructed once and solved repeatedly.
+
+`minimizer` solves a `QuadraticProgram` of any size. DAQP, or a kernel in C that can begin with a guess, finds only the
+active set; the solution is that of the linear equations of the active set, so it is the same for both.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     import casadi
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["UNBOUNDED", "DenseProgram"]
+__all__ = ["EXACT", "UNBOUNDED", "DenseProgram", "QuadraticProgram", "minimizer"]
 
 UNBOUNDED = 1e30  # DAQP's value for infinity
+EXACT = 1e-12  # primal tolerance that finds all active constraints; relative to the Hessian
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+_AT_BOUND = 1e-9  # distance of active constraints from their bounds
+_MOST_ROUNDS = 1000
+_KERNEL = Kernel("optdock_active_set", sizes=5, numbers=2)
+
+
+class QuadraticProgram(NamedTuple):
+    """Program `min z'hz / 2 + g'z` with bounds on the n variables and on the m rows `az`.
+
+    Constraint i + 1 is the lower bound of variable i or, for i >= n, of row i - n; -(i + 1) is the upper bound.
+    """
+
+    h: FloatArray  # Shape (n, n), positive definite
+    g: FloatArray  # Shape (n,)
+    a: FloatArray  # Shape (m, n)
+    bounds: FloatArray  # Shape (2, n + m), lower and upper bounds, those of the variables first; UNBOUNDED for none
+    leading: int  # columns of `a` in which rows have one range of elements other than 0; those of the others are behind
+    guess: IntArray  # constraints that are probably active; changes the time, and the solution by rounding errors only
+    dense: Callable[[], DenseProgram]  # returns a program for DAQP, of n variables and m rows or more, `EXACT`
+
+    def active_at(self, solution: FloatArray) -> IntArray:
+        """Return the constraints whose bound a solution attains, in order of their variables and rows."""
+        # Unlike `@`, `einsum` runs in the calling thread at every size.
+        values = np.concatenate((solution, np.einsum("ij,j->i", self.a, solution)))
+        at_lower, at_upper = values - self.bounds[0] < _AT_BOUND, self.bounds[1] - values < _AT_BOUND
+        index = np.flatnonzero(at_lower | at_upper)
+        return np.where(at_lower[index], index + 1, -(index + 1))
 
 
 class DenseProgram:
@@ -33,17 +65,19 @@ class DenseProgram:
         size: Number of variables.
         rows: Number of general constraints; unused constraints keep zero rows and infinite bounds.
         most_iterations: Maximum number of active-set iterations; None for DAQP's default.
+        tolerance: Largest violation of a constraint, relative to the Hessian; None for DAQP's default of 1e-6.
     """
 
-    def __init__(self, size: int, rows: int, most_iterations: int | None = None) -> None:
+    def __init__(
+        self, size: int, rows: int, most_iterations: int | None = None, tolerance: float | None = None
+    ) -> None:
         self.h, self.a = np.zeros((size, size), order="F"), np.zeros((rows, size), order="F")
         self.g, self.lbx, self.ubx = np.zeros(size), np.full(size, -UNBOUNDED), np.full(size, UNBOUNDED)
         self.lba, self.uba = np.full(rows, -UNBOUNDED), np.full(rows, UNBOUNDED)
-        self._solution = np.zeros(size)
-        options: dict[str, dict[str, int | str]] = (
-            {} if most_iterations is None else {"daqp": {"iter_limit": most_iterations}}
-        )
-        self._function = _plugin("daqp", size, rows, options)
+        self._solution, self._multipliers = np.zeros(size), (np.zeros(size), np.zeros(rows))
+        chosen = {"iter_limit": most_iterations, "primal_tol": tolerance}
+        options = {name: value for name, value in chosen.items() if value is not None}
+        self._function = _plugin("daqp", size, rows, {"daqp": options})
         self._buffer, self._run = self._bound()
 
     def _bound(self) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
@@ -52,8 +86,16 @@ class DenseProgram:
             values: FloatArray = getattr(self, name)
             # casadi's stub declares only the C form of the two setters.
             buffer.set_arg(self._function.index_in(name), _memory(values))  # type: ignore[call-arg]
-        buffer.set_res(self._function.index_out("x"), _memory(self._solution))  # type: ignore[call-arg]
+        for name, values in zip(("x", "lam_x", "lam_a"), (self._solution, *self._multipliers), strict=True):
+            buffer.set_res(self._function.index_out(name), _memory(values))  # type: ignore[call-arg]
         return buffer, run
+
+    def fill(self, program: QuadraticProgram) -> None:
+        """Set all arrays to those of a program, which may have fewer rows."""
+        (m, n), (lower, upper) = program.a.shape, program.bounds
+        self.h[:], self.g[:], self.lbx[:], self.ubx[:] = program.h, program.g, lower[:n], upper[:n]
+        self.a[:m], self.lba[:m], self.uba[:m] = program.a, lower[n:], upper[n:]
+        self.a[m:], self.lba[m:], self.uba[m:] = 0.0, -UNBOUNDED, UNBOUNDED
 
     def solve(self) -> FloatArray | None:
         """Return the minimizer, Shape (size,), or None if DAQP does not find a solution."""
@@ -66,6 +108,11 @@ class DenseProgram:
             return None
         solution: FloatArray = self._solution.copy()
         return solution
+
+    @property
+    def multipliers(self) -> FloatArray:
+        """Multipliers of the latest solution, of the variables and then of the rows; negative at lower bounds."""
+        return np.concatenate(self._multipliers)
 
     def solve_slowly(self) -> FloatArray | None:
         """Return the minimizer by PIQP [Schwan2023], set up for the rows in use (unused rows cause warnings)."""
@@ -86,7 +133,7 @@ class DenseProgram:
         return solution if found else None
 
 
-def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, int | str]]) -> casadi.Function:
+def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, float | str]]) -> casadi.Function:
     import casadi
 
     shapes = {"h": casadi.Sparsity.dense(size, size), "a": casadi.Sparsity.dense(rows, size)}
@@ -96,3 +143,64 @@ def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, 
 def _memory(values: FloatArray) -> memoryview:
     """Return the memory of an array in its storage order; the address is stored in casadi's buffer."""
     return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer
+
+
+def _found_by_kernel(program: QuadraticProgram) -> FloatArray | None:
+    (m, n), total, guess = program.a.shape, program.bounds.shape[1], program.guess
+    if bool(np.any(program.bounds[0] > program.bounds[1])):
+        return None
+    try:
+        root: FloatArray = np.asarray(np.linalg.cholesky(program.h), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
+    found, room = np.empty(n + 1, dtype=np.int64), (n + 1) * (2 * n + 7) + 4 * n + 2 * m
+    arrays = (
+        (root, n * n),
+        (program.g, n),
+        (program.a, m * n),
+        (program.bounds, 2 * total),
+        (guess, guess.size),
+        (found, n + 1),
+        (np.empty(n + 5 * m, dtype=np.int64), n + 5 * m),
+        (np.empty(room), room),
+    )
+    count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, EXACT), arrays)
+    return None if count < 0 else _minimizer_on(program, found[:count])
+
+
+@twin_of(_found_by_kernel)
+def minimizer(program: QuadraticProgram) -> FloatArray | None:
+    """Return the minimizer of a program, Shape (n,), or None if none is found."""
+    solver = program.dense()
+    solver.fill(program)
+    if solver.solve() is None:
+        return None
+    multipliers, (lower, upper) = solver.multipliers[: program.bounds.shape[1]], program.bounds
+    index = np.flatnonzero((multipliers != 0.0) | (lower == upper))
+    return _minimizer_on(program, np.where(multipliers[index] > 0.0, -(index + 1), index + 1))
+
+
+def _minimizer_on(program: QuadraticProgram, active: IntArray) -> FloatArray | None:
+    """Return the minimizer with given active constraints, in any order; None if it is not finite."""
+    h, g, a, bounds, *_ = program
+    active = active[np.argsort(np.abs(active))]
+    index, n = np.abs(active) - 1, g.size
+    bound = bounds[(active < 0).astype(np.int64), index]
+    count = int(np.searchsorted(index, n))
+    fixed, rows = index[:count], a[index[count:] - n]
+    is_free = np.ones(n, dtype=np.bool_)
+    is_free[fixed] = False
+    free = np.flatnonzero(is_free)
+    size = free.size + len(rows)
+    matrix, right, solution = np.zeros((size, size)), np.empty(size), np.empty(n)
+    matrix[: free.size, : free.size] = h[free[:, None], free]
+    matrix[free.size :, : free.size] = rows[:, free]
+    matrix[: free.size, free.size :] = matrix[free.size :, : free.size].T
+    right[: free.size] = -g[free] - h[free[:, None], fixed] @ bound[:count]
+    right[free.size :] = bound[count:] - rows[:, fixed] @ bound[:count]
+    solution[fixed] = bound[:count]
+    try:
+        solution[free] = np.linalg.solve(matrix, right)[: free.size]
+    except np.linalg.LinAlgError:
+        return None
+    return solution if bool(np.isfinite(solution).all()) else None

@@ -1,4 +1,4 @@
-"""The convex step: a quadratic program within a trust region, with L1 penalties, solved by DAQP [Arnstrom2022].
+"""The convex step: a quadratic program within a trust region, with L1 penalties.
 
     minimize    g'd + d'(H + mu M)d / 2 + rho_T (e+ + e-) + rho sum_z t_z          over step d and slacks e, t >= 0
     subject to  lower <= z + d <= upper                       box of curvatures and lengths, trust region of lengths
@@ -7,8 +7,8 @@
                 +-(K_(j+1) - K_j) - (s_max / q) L <= 0        curvature rate, exact
                 G d + t_zone >= buffer - gap                  clearance
 
-Columns and rows are in named blocks. Each program is built once per size; NumPy arrays share the memory of CasADi's
-buffers.
+Columns and rows are in named blocks. The constraints that are active in one step are a guess for those of the next
+step.
 """
 
 from __future__ import annotations
@@ -21,15 +21,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.quadratic_program import UNBOUNDED, DenseProgram
+from optdock.kernels import kernels_lane
+from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
 from smoothers.scp.basis import basis_for
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.linearization import ClearanceRows
     from smoothers.scp.cost import Quadratic
-    from smoothers.scp.nlp import NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram, VariableBounds
     from smoothers.scp.rollout import Variables
     from smoothers.scp.settings import StepSettings
 
@@ -43,6 +46,7 @@ __all__ = [
     "pool_of_this_thread",
     "prepare_programs",
     "solve_step",
+    "step_program",
     "trusted_nodes",
     "zone_of",
 ]
@@ -143,38 +147,71 @@ def solve_step(
         proximal: Weight of the squared motion.
         penalties: Weights of the shortfalls.
     """
-    basis, settings = nlp.basis, nlp.settings.step
-    spans = basis.span_gear.size if np.isfinite(nlp.inner_bounds.rate) else 0
-    room = next(count for count in settings.clearance_rows if count >= around.rows.gap.size)
-    blocks = blocks_for(basis, spans, room, settings)
-    program = pool.program(*blocks.size)
-    _fill_cost(program, blocks, around, proximal, penalties, settings)
-    _fill_box(program, blocks, nlp, around.variables, trust_region * nlp.radius)
-    program.a[:] = 0.0
-    program.lba[:], program.uba[:] = -UNBOUNDED, UNBOUNDED
-    _fill_goal_and_trust_region(program, blocks, around, trust_region)
-    if spans:
-        _fill_rate(program, blocks, nlp, around.variables)
-    _fill_clearance(program, blocks, around.rows, zone_of(basis, around.rows.node, settings.zones))
-    solution = program.solve()
+    program = step_program(nlp, around, pool, trust_region, proximal, penalties)
+    solution = minimizer(program)
     if solution is None:
-        solution = program.solve_slowly()
+        dense = program.dense()
+        dense.fill(program)
+        solution = dense.solve_slowly()
     if solution is None:
         return None
-    change, model = solution[blocks.path], around.quadratic
+    pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, program.active_at(solution))
+    change, model = solution[: nlp.basis.size], around.quadratic
     gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
     return QpStep(change, gain)
 
 
+def step_program(
+    nlp: NonlinearProgram,
+    around: Subproblem,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> QuadraticProgram:
+    """Return the program of `solve_step`, whose arguments are the same."""
+    basis, settings, spans = nlp.basis, nlp.settings.step, nlp.basis.span_gear.size
+    is_limited, count = bool(np.isfinite(nlp.inner_bounds.rate)), around.rows.gap.size
+    blocks = blocks_for(basis, spans if is_limited else 0, count, settings)
+
+    def dense() -> DenseProgram:
+        room = next(room for room in settings.clearance_rows if room >= count)
+        return pool.program(blocks.size[0], blocks.clearance.start + room)
+
+    program = _empty_program(blocks, basis.num_knots, _guess(pool.latest, nlp, around, blocks), dense)
+    _fill_cost(program, blocks, around, proximal, penalties, settings)
+    _fill_box(program, blocks, nlp, around.variables, trust_region * nlp.radius)
+    rows = _Rows(program.a, *program.bounds[:, len(program.g) :])
+    _fill_goal_and_trust_region(rows, blocks, around, trust_region)
+    if is_limited:
+        _fill_rate(rows, blocks, nlp, around.variables)
+    _fill_clearance(rows, blocks, around.rows, zone_of(basis, around.rows.node, settings.zones))
+    return program
+
+
+class _Rows(NamedTuple):
+    """Views of the rows of a program and their bounds."""
+
+    a: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+def _empty_program(blocks: Blocks, knots: int, guess: IntArray, dense: Callable[[], DenseProgram]) -> QuadraticProgram:
+    n, m = blocks.size
+    bounds = np.empty((2, n + m))
+    bounds[0], bounds[1] = -UNBOUNDED, UNBOUNDED
+    return QuadraticProgram(np.zeros((n, n)), np.empty(n), np.zeros((m, n)), bounds, knots, guess, dense)
+
+
 def _fill_cost(
-    program: DenseProgram,
+    program: QuadraticProgram,
     blocks: Blocks,
     around: Subproblem,
     proximal: float,
     penalties: Penalties,
     settings: StepSettings,
 ) -> None:
-    program.h[:] = 0.0
     program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
     diagonal = np.einsum("ii->i", program.h)  # a view, not a copy
     diagonal[blocks.path] += settings.ridge
@@ -186,56 +223,75 @@ def _fill_cost(
 
 
 def _fill_box(
-    program: DenseProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables, stretch: float
+    program: QuadraticProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables, stretch: float
 ) -> None:
     """Set the bounds of the variables; lengths change by at most `stretch` [m]."""
     knots, flat = nlp.basis.num_knots, np.concatenate(variables)
     lower, upper = nlp.inner_bounds.lower - flat, nlp.inner_bounds.upper - flat
     lower[knots:] = np.maximum(lower[knots:], -stretch)
     upper[knots:] = np.minimum(upper[knots:], stretch)
-    program.lbx[:], program.ubx[:] = 0.0, UNBOUNDED  # of the slacks
-    program.lbx[blocks.path] = np.minimum(lower, upper)
-    program.ubx[blocks.path] = np.maximum(lower, upper)
+    program.bounds[0, blocks.path.stop : blocks.clearance_slack.stop] = 0.0
+    program.bounds[0, blocks.path] = np.minimum(lower, upper)
+    program.bounds[1, blocks.path] = np.maximum(lower, upper)
 
 
-def _fill_goal_and_trust_region(program: DenseProgram, blocks: Blocks, around: Subproblem, trust_region: float) -> None:
+def _fill_goal_and_trust_region(rows: _Rows, blocks: Blocks, around: Subproblem, trust_region: float) -> None:
     jacobian, error = around.goal
-    program.a[blocks.goal, blocks.path] = jacobian
-    program.a[blocks.goal, blocks.goal_above], program.a[blocks.goal, blocks.goal_below] = np.eye(3), -np.eye(3)
-    program.lba[blocks.goal] = program.uba[blocks.goal] = -error
-    program.a[blocks.trust_region, blocks.path] = around.headings
-    program.lba[blocks.trust_region], program.uba[blocks.trust_region] = -trust_region, trust_region
+    rows.a[blocks.goal, blocks.path] = jacobian
+    rows.a[blocks.goal, blocks.goal_above], rows.a[blocks.goal, blocks.goal_below] = np.eye(3), -np.eye(3)
+    rows.lower[blocks.goal] = rows.upper[blocks.goal] = -error
+    rows.a[blocks.trust_region, blocks.path] = around.headings
+    rows.lower[blocks.trust_region], rows.upper[blocks.trust_region] = -trust_region, trust_region
 
 
-def _fill_rate(program: DenseProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables) -> None:
+def _fill_rate(rows: _Rows, blocks: Blocks, nlp: NonlinearProgram, variables: Variables) -> None:
     basis, bound = nlp.basis, nlp.inner_bounds.rate
     slopes, allowed = basis.span_slopes @ variables.curvature, bound * variables.lengths[basis.span_gear]
     for block, sign in ((blocks.rate_up, 1.0), (blocks.rate_down, -1.0)):
-        program.a[block, : basis.num_knots] = sign * basis.span_slopes
-        program.a[np.arange(block.start, block.stop), basis.num_knots + basis.span_gear] = -bound
-        program.uba[block] = allowed - sign * slopes
+        rows.a[block, : basis.num_knots] = sign * basis.span_slopes
+        rows.a[np.arange(block.start, block.stop), basis.num_knots + basis.span_gear] = -bound
+        rows.upper[block] = allowed - sign * slopes
 
 
-def _fill_clearance(program: DenseProgram, blocks: Blocks, rows: ClearanceRows, zone: IntArray) -> None:
-    first, count = blocks.clearance.start, rows.gap.size
-    used = slice(first, first + count)
-    program.a[used, blocks.path] = rows.gradient
-    program.a[np.arange(first, first + count), blocks.clearance_slack.start + zone] = 1.0
-    program.lba[used] = -rows.gap
+def _fill_clearance(rows: _Rows, blocks: Blocks, bounded: ClearanceRows, zone: IntArray) -> None:
+    rows.a[blocks.clearance, blocks.path] = bounded.gradient
+    rows.a[np.arange(blocks.clearance.start, blocks.clearance.stop), blocks.clearance_slack.start + zone] = 1.0
+    rows.lower[blocks.clearance] = -bounded.gap
+
+
+class _ActiveRows(NamedTuple):
+    """The constraints that are active in a step, and the programs in which they have the same numbers."""
+
+    bounds: VariableBounds  # of all steps of a search
+    rows: ClearanceRows  # of one linearization
+    active: IntArray
+
+
+def _guess(latest: _ActiveRows | None, nlp: NonlinearProgram, around: Subproblem, blocks: Blocks) -> IntArray:
+    """Return the constraints that are probably active: those of the step before, or the bounds of the slacks."""
+    variables = blocks.size[0]
+    if latest is None or latest.bounds is not nlp.inner_bounds:
+        return np.arange(blocks.path.stop + 1, variables + 1)
+    if latest.rows is around.rows:
+        return latest.active
+    kept: IntArray = latest.active[np.abs(latest.active) <= variables + blocks.clearance.start]
+    return kept
 
 
 class ProgramPool:
-    """Programs by size, built on first use; the latest ones are kept.
+    """Programs of DAQP by size, built on first use; the latest ones are kept.
 
     A pool must not be used concurrently; see `pool_of_this_thread`.
 
     Attributes:
+        latest: Active constraints of the latest step, or None.
         build_time: Total time for building programs [s].
         pace: Time of an iteration relative to the benchmark machine, measured by `warm_up`.
     """
 
     def __init__(self) -> None:
         self._programs: OrderedDict[tuple[int, int], DenseProgram] = OrderedDict()  # the latest one last
+        self.latest: _ActiveRows | None = None
         self.build_time = 0.0
         self.pace = 1.0
 
@@ -244,7 +300,7 @@ class ProgramPool:
         key = (size, rows)
         if key not in self._programs:
             began = time.perf_counter()
-            self._programs[key] = DenseProgram(size, rows)
+            self._programs[key] = DenseProgram(size, rows, tolerance=EXACT)
             self.build_time += time.perf_counter() - began
             if len(self._programs) > _MOST_PROGRAMS:
                 self._programs.popitem(last=False)
@@ -274,9 +330,11 @@ def pool_of_this_thread() -> ProgramPool:
 
 
 def prepare_programs(pool: ProgramPool, settings: StepSettings) -> None:
-    """Build the usual programs and bases, for one to three gears, and load the solvers."""
+    """Build the usual bases and, where DAQP solves them, programs, for one to three gears; load the solvers."""
     for shape in settings.usual_shapes:
         basis = basis_for(shape)
+        if kernels_lane() == "native":
+            continue
         for room in settings.clearance_rows[: settings.usual_clearance_rows]:
             pool.program(*blocks_for(basis, basis.span_gear.size, room, settings).size)
     pool.load_fallback()

@@ -22,11 +22,12 @@ from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.model.robot import Drive
 from optdock.plugins.interfaces import never_cancelled
+from optdock.quadratic_program import minimizer
 from smoothers import CasadiSmoother, HardTerm, SoftTerm
 from smoothers.scp import term_rows
 from smoothers.scp.goal_projection import end_sensitivity
 from smoothers.scp.loop import judged
-from smoothers.scp.qp_step import Penalties, ProgramPool, Subproblem, blocks_for, solve_step, trusted_nodes
+from smoothers.scp.qp_step import Penalties, ProgramPool, Subproblem, blocks_for, step_program, trusted_nodes
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 from smoothers.scp.search import Solver
 from smoothers.scp.term_functions import term_set
@@ -150,14 +151,13 @@ def oracle_of(nlp):
 
 def rate_rows_of_the_step(nlp, around):
     """The rows of the curvature rate in the quadratic program, and their right sides."""
-    pool, basis, settings = ProgramPool(), nlp.basis, nlp.settings.step
-    assert solve_step(nlp, around, pool, 0.5, 1.0, Penalties(300.0, 3000.0)) is not None
-    room = next(count for count in settings.clearance_rows if count >= around.rows.gap.size)
-    blocks = blocks_for(basis, basis.span_gear.size, room, settings)
-    program = pool.program(*blocks.size)
-    up, down = blocks.rate_up, blocks.rate_down
+    basis = nlp.basis
+    program = step_program(nlp, around, ProgramPool(), 0.5, 1.0, Penalties(300.0, 3000.0))
+    assert minimizer(program) is not None
+    blocks = blocks_for(basis, basis.span_gear.size, around.rows.gap.size, nlp.settings.step)
+    up, down, upper = blocks.rate_up, blocks.rate_down, program.bounds[1, len(program.g) :]
     rows = np.concatenate((program.a[up, blocks.path], program.a[down, blocks.path]))
-    return rows, np.concatenate((program.uba[up], program.uba[down]))
+    return rows, np.concatenate((upper[up], upper[down]))
 
 
 @pytest.mark.parametrize("which", [0, 1])
