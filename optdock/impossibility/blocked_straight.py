@@ -128,7 +128,7 @@ class BlockedStraight:
 
 
 class _Document(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", defer_build=True)
 
     straight: Annotated[tuple[BlockedPose, ...], Field(max_length=2)]
     problem: dict[str, str]

@@ -165,7 +165,7 @@ class ConnectivityGraph:
         self.tiles.append(tile)
         self.labels.append(labels)
         self.tile_at[self._place(key)] = key
-        self.joints[key, key] = _met_within(labels, kinds=np.count_nonzero(counts)) if labels.size > 1 else _NONE
+        self.joints[key, key] = _met_within(labels, kinds=int(np.count_nonzero(counts))) if labels.size > 1 else _NONE
 
     def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
         """Join a tile to its neighbours across its lower (0) or upper (-1) side along an axis."""
@@ -231,7 +231,7 @@ class ConnectivityGraph:
     def reached(self, node: int) -> BoolArray:
         """Return a mask of the nodes that are connected to a node."""
         first, second = self._all_joints().T
-        found = np.arange(len(self.cost)) == node
+        found: BoolArray = np.arange(len(self.cost)) == node
         while True:
             met = np.flatnonzero(found[first] != found[second])
             if met.size == 0:

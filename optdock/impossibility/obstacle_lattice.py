@@ -89,7 +89,11 @@ _CLEARANCES = Kernel("optdock_lattice_clearances", sizes=4, numbers=0)
 
 
 def _to_obstacles_native(
-    covered: IntArray, samples: FloatArray, step: float, count: int, _: Callable[[], None]
+    covered: IntArray,
+    samples: FloatArray,
+    step: float,
+    count: int,
+    look: Callable[[], None],  # noqa: ARG001 - of the twin
 ) -> FloatArray:
     spans, k, found = len(covered), len(samples), np.empty((count, count))
     arrays = (
@@ -135,7 +139,7 @@ def _to_obstacles(
         look()
     nearest = np.take_along_axis(rows, columns, axis=1) * count + columns
     right, up = x - at_x.take(nearest), y - at_y.take(nearest)
-    found = np.sqrt(right * right + up * up)
+    found: FloatArray = np.sqrt(right * right + up * up)
     found[inside] = 0.0
     return found
 
@@ -147,7 +151,8 @@ def _nearest_in_column(is_site: BoolArray) -> IntArray:
     above = np.maximum.accumulate(np.where(is_site, row, -1), axis=0)
     below = np.minimum.accumulate(np.where(is_site, row, 4 * count)[::-1], axis=0)[::-1]
     is_below = (below < count) & ((above < 0) | (below - row < row - above))
-    return np.where(is_below, below, above)
+    nearest: IntArray = np.where(is_below, below, above)
+    return nearest
 
 
 def _least_and_most_native(
