@@ -127,6 +127,7 @@ class ImpossibilitySearch:
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
+            deadline.look()
             if self._left is None:
                 body = disc_cover(self.problem.robot.footprint, deadline.look)
                 self._left = [body, body.largest_disc]
@@ -187,6 +188,7 @@ class _Search:
         side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
         corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (_NODES - 1)
         x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
+        self._look()
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
         is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
         # Nodes near the border are not valid: obstacles outside were not examined.
