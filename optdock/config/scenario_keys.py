@@ -199,7 +199,7 @@ def _key(
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, defer_build=True)
 
 
 _TUBE, _ORIGIN = TrackingTube(), Pose2(0.0, 0.0, 0.0)

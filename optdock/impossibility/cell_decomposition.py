@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 from typing import TYPE_CHECKING
 
@@ -37,17 +38,17 @@ from optdock.impossibility.connectivity_graph import (
     Tile,
     by_certainty,
     by_margin,
+    connected_cells,
 )
 from optdock.impossibility.footprint_discs import DiscCover, disc_cover
+from optdock.impossibility.obstacle_lattice import ObstacleLattice, least_and_most
 from optdock.impossibility.proof import CELLS, SLACK, Bottleneck, ImpossibilityProof, least_required
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
-
-    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
 
 __all__ = ["ImpossibilitySearch", "prove_impossible"]
@@ -126,6 +127,7 @@ class ImpossibilitySearch:
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
+            deadline.look()
             if self._left is None:
                 body = disc_cover(self.problem.robot.footprint, deadline.look)
                 self._left = [body, body.largest_disc]
@@ -141,88 +143,6 @@ class ImpossibilitySearch:
         return None
 
 
-class _Obstacles:
-    """Obstacles in the frame of the tiles."""
-
-    def __init__(self, problem: DockingProblem, origin: FloatArray, look: Callable[[], None]) -> None:
-        everything, self.look = problem.all_obstacles, look
-        self.normals, self.vertices = everything.normals, everything.vertices - origin
-        self.offsets = (self.normals * self.vertices).sum(axis=2)
-        self.lower, self.upper = everything.lower - origin, everything.upper - origin
-        starts, ends = self.vertices.reshape(-1, 2), np.roll(self.vertices, -1, axis=1).reshape(-1, 2)
-        kept = (starts != ends).any(axis=1)
-        self.starts, self.along = starts[kept], (ends - starts)[kept]
-        self.low, self.high = np.minimum(starts, ends)[kept], np.maximum(starts, ends)[kept]
-
-    def distances(self, corner: FloatArray, step: float, count: int) -> NDArray[np.float32]:
-        """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
-
-        Rows run along y. The distance of a node is measured to an obstacle point, namely the point next to the closest
-        node at an obstacle. Obstacles outside the lattice are ignored.
-        """
-        from scipy import ndimage
-
-        extent = step * (count - 1)
-        inside = self._inside(corner, step, count)
-        points = self._samples(corner, extent, 0.5 * step)
-        node = np.rint(points / step).astype(np.int64)
-        at_x, at_y = np.meshgrid(step * np.arange(count), step * np.arange(count))
-        point_x, point_y = at_x.copy(), at_y.copy()
-        point_x[node[:, 1], node[:, 0]], point_y[node[:, 1], node[:, 0]] = points.T
-        none = ~inside
-        none[node[:, 1], node[:, 0]] = False
-        if none.all():
-            return np.full((count, count), np.inf, dtype=np.float32)
-        self.look()
-        row, column = ndimage.distance_transform_edt(none, return_distances=False, return_indices=True)
-        self.look()
-        nearest = row * count + column
-        found = np.hypot(at_x - point_x.take(nearest), at_y - point_y.take(nearest))
-        found[inside] = 0.0
-        single: NDArray[np.float32] = found.astype(np.float32)
-        return single
-
-    def _inside(self, corner: FloatArray, step: float, count: int) -> BoolArray:
-        """Return a mask of the nodes inside obstacles, from the interval of nodes that a piece covers in a row."""
-        low, high = (self.lower - corner) / step, (self.upper - corner) / step
-        met = np.flatnonzero(((high >= 0.0) & (low <= count - 1)).all(axis=1))
-        first = np.ceil(np.clip(low[met, 1], 0, count - 1)).astype(np.int64)
-        number = np.maximum(np.floor(np.clip(high[met, 1], 0, count - 1)).astype(np.int64) + 1 - first, 0)
-        piece = np.repeat(np.arange(met.size), number)
-        row = np.arange(piece.size) - np.repeat(np.cumsum(number) - number, number) + first[piece]
-        (nx, ny), offset = np.moveaxis(self.normals[met], 2, 0), self.offsets[met] - self.normals[met] @ corner
-        # An edge with its normal along y admits all or none of a row.
-        room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
-        steep, is_along = step * nx[piece], nx[piece] == 0.0
-        bound = np.divide(room, steep, out=np.where(room < 0.0, -inf, inf), where=~is_along)
-        until = np.where((steep > 0.0) | is_along, bound, inf).min(axis=1, initial=inf)
-        since = np.where(steep < 0.0, bound, -inf).max(axis=1, initial=-inf)
-        begin = np.ceil(np.clip(since, 0, count)).astype(np.int64)
-        stop = np.maximum(np.floor(np.clip(until, -1, count - 1)).astype(np.int64) + 1, begin)
-        change = np.bincount(row * (count + 1) + begin, minlength=count * (count + 1))
-        change -= np.bincount(row * (count + 1) + stop, minlength=count * (count + 1))
-        inside: BoolArray = change.reshape(count, count + 1).cumsum(axis=1)[:, :-1] > 0
-        return inside
-
-    def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
-        """Return points of the outlines clipped to a square ([Liang1984]), at most `spacing` apart, Shape (n, 2)."""
-        rows = np.flatnonzero(((self.low <= corner + extent) & (self.high >= corner)).all(axis=1))
-        start, along = self.starts[rows] - corner, self.along[rows]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first, second = -start / along, (extent - start) / along
-        still = along == 0.0
-        enter = np.where(still, 0.0, np.minimum(first, second)).max(axis=1, initial=0.0)
-        leave = np.where(still, 1.0, np.maximum(first, second)).min(axis=1, initial=1.0)
-        kept = enter <= leave
-        enter, leave, start, along = enter[kept], leave[kept], start[kept], along[kept]
-        number = np.ceil((leave - enter) * np.hypot(*along.T) / spacing).astype(np.int64) + 1
-        edge = np.repeat(np.arange(number.size), number)
-        place = (np.arange(edge.size) - np.repeat(np.cumsum(number) - number, number)) / np.maximum(number - 1, 1)[edge]
-        share = enter[edge] + place * (leave - enter)[edge]
-        points: FloatArray = np.clip(start[edge] + share[:, None] * along[edge], 0.0, extent)
-        return points
-
-
 class _Search:
     """Search for one body: the present tiles, and the graph of their cells that may be free."""
 
@@ -230,11 +150,16 @@ class _Search:
         self.problem, self.body, self.deadline = problem, body, deadline
         self.start_clearance = end_clearances(problem).start
         self.grid = self._grid()
-        self.obstacles = _Obstacles(problem, self.grid.origin, self._look)
+        self.obstacles = ObstacleLattice(problem, self.grid.origin, self._look)
         self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
         self.known: dict[tuple[int, int, int], Tile] = {}
-        self.graph = ConnectivityGraph(self.grid, self.ends, by_certainty(self.grid))
-        self.graph.add([Tile(-self.grid.above, 0, 0)])
+
+    @functools.cached_property
+    def graph(self) -> ConnectivityGraph:
+        """Graph of the present tiles, at first one tile."""
+        graph = ConnectivityGraph(self.grid, self.ends, by_certainty(self.grid))
+        graph.add([Tile(-self.grid.above, 0, 0)])
+        return graph
 
     def _grid(self) -> CellGrid:
         """Return a grid of tiles that covers start, goal and the obstacles that are near enough to be relevant."""
@@ -257,22 +182,21 @@ class _Search:
 
     def looks_open(self, deadline: Deadline) -> bool:
         """Whether free nodes of a coarse lattice connect the start to the goal for a disc (a heuristic, no proof)."""
-        from scipy import ndimage
-
         self.deadline = deadline
         _, _, radius = self.body.discs[0].tolist()
         ends, border = np.array(self.ends)[:, :2], radius + self.problem.path_clearance.required
         side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
         corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (_NODES - 1)
         x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
+        self._look()
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
         is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
         # Nodes near the border are not valid: obstacles outside were not examined.
         kept = slice(math.ceil(border / step), -math.ceil(border / step))
-        labels = np.zeros(is_free.shape, dtype=np.int32)
-        ndimage.label(is_free[kept, kept], output=labels[kept, kept])
+        labels = np.full(is_free.shape, -1)
+        labels[kept, kept] = connected_cells(is_free[None, kept, kept].astype(np.int64))[0][0]
         found = [set(labels[j - 1 : j + 2, i - 1 : i + 2].flat) for i, j in np.rint((ends - corner) / step).astype(int)]
-        return bool(set.intersection(*found) - {0})
+        return bool(set.intersection(*found) - {-1})
 
     def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
         """Split the narrow tiles on the cheapest route until no route is left or one route is open.
@@ -442,16 +366,12 @@ class _Search:
         yaw = turn * (2.0 * np.arange(count) + 1.0)
         c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
         shift = (np.rint((s * x + c * y) / half) * nodes + np.rint((c * x - s * y) / half)).astype(np.int64)
-        least, most = np.empty((count, at.size), np.float32), np.empty((count, at.size), np.float32)
+        parts = []
         chunk = max(1, _GATHERED // (at.size * radius.size))
         for k in range(0, count, chunk):
-            rows = slice(k, k + chunk)
-            read = distance.take(at + shift[rows, :, None])
-            read -= radius[:, None].astype(np.float32)
-            read.min(axis=1, out=least[rows])
-            read += moved[:, None].astype(np.float32)
-            read.min(axis=1, out=most[rows])
+            parts.append(least_and_most(distance, at, shift[k : k + chunk], radius, moved))
             self.deadline.look()
+        least, most = (np.concatenate(part) for part in zip(*parts, strict=True))
         required = self._required(corner, half, (c, s), turn)
         shape = (count, CELLS, CELLS)
         tile = self.known[level, column, row] = Tile(

@@ -7,6 +7,7 @@ examined is one cell.
 from __future__ import annotations
 
 import functools
+import heapq
 import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -15,12 +16,12 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.impossibility.proof import CELLS, SLACK
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
-    from scipy.sparse import csr_matrix
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
@@ -38,6 +39,7 @@ __all__ = [
     "Tile",
     "by_certainty",
     "by_margin",
+    "connected_cells",
 ]
 
 OPEN = 1e-6  # cost of an open node, or one outside: of two open routes the shorter one is taken
@@ -128,7 +130,7 @@ class ConnectivityGraph:
         self.grid, self.ends, self.kinds = grid, ends, kinds
         self.tiles: list[Tile] = []  # including removed ones
         self.labels: list[IntArray] = []
-        self.tile_at = np.full((2 ** (grid.above + FINEST),) * 2, -1, dtype=np.int64)
+        self.tile_at = np.full((2 ** (grid.above + FINEST),) * 2, -1, dtype=np.int32)
         self.cost, self.tile_of = [OPEN] * 3, [-1] * 3
         self.joints: dict[tuple[int, int], IntArray] = {}
 
@@ -153,28 +155,17 @@ class ConnectivityGraph:
         return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
 
     def _label(self, tile: Tile) -> None:
-        from scipy import ndimage
-
-        key = len(self.tiles)
+        key, first = len(self.tiles), len(self.cost)
         is_open, is_narrow = self.kinds(tile)
-        labels = np.full(is_open.shape, -1)
-        both = [
-            (which, cost) for which, cost in ((is_open, OPEN), (is_narrow, self.grid.side(tile.level))) if which.any()
-        ]
-        for which, cost in both:
-            found, count = (which, 1) if which.all() else ndimage.label(which)
-            if count == 1:
-                labels[which] = len(self.cost)
-                self.cost.append(cost)
-                self.tile_of.append(key)
-                continue
-            labels[which] = found[which] + (len(self.cost) - 1)
+        labels, counts = connected_cells(is_open + 2 * is_narrow.astype(np.int64))
+        labels[labels >= 0] += first
+        for count, cost in zip(counts.tolist(), (OPEN, self.grid.side(tile.level)), strict=True):
             self.cost += [cost] * count
             self.tile_of += [key] * count
         self.tiles.append(tile)
         self.labels.append(labels)
         self.tile_at[self._place(key)] = key
-        self.joints[key, key] = _met_within(labels, kinds=len(both)) if labels.size > 1 else _NONE
+        self.joints[key, key] = _met_within(labels, kinds=int(np.count_nonzero(counts))) if labels.size > 1 else _NONE
 
     def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
         """Join a tile to its neighbours across its lower (0) or upper (-1) side along an axis."""
@@ -226,40 +217,26 @@ class ConnectivityGraph:
             found.add(int(self.labels[key][layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
         return sorted(found - {-1})
 
-    def _all_joints(self) -> NDArray[np.int32]:
+    def _all_joints(self) -> IntArray:
         """Return all pairs of adjacent nodes, Shape (n, 2)."""
         ends = [
             np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
         ]
-        return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
-
-    def _matrix(self) -> csr_matrix:
-        """Return the adjacency matrix; each edge has the cost of the node to which it leads."""
-        from scipy import sparse
-
-        joints, cost = self._all_joints(), np.array(self.cost)
-        first, second = np.concatenate((joints, joints[:, ::-1])).T
-        return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
+        return np.concatenate((*ends, *self.joints.values())).astype(np.int64)
 
     def route(self) -> list[int]:
         """Return the nodes of the cheapest route from goal to start; empty if there is none."""
-        from scipy.sparse import csgraph
-
-        spent, before = csgraph.dijkstra(self._matrix(), indices=np.array([START]), return_predecessors=True)
-        if not np.isfinite(spent[0, GOAL]):
-            return []
-        route = [GOAL]
-        while route[-1] != START:
-            route.append(int(before[0, route[-1]]))
-        return route
+        return _route(predecessors(self._all_joints(), np.array(self.cost), START, GOAL, is_minimax=False))
 
     def reached(self, node: int) -> BoolArray:
         """Return a mask of the nodes that are connected to a node."""
-        from scipy.sparse import csgraph
-
-        component = csgraph.connected_components(self._matrix(), directed=False)[1]
-        found: BoolArray = component == component[node]
-        return found
+        first, second = self._all_joints().T
+        found: BoolArray = np.arange(len(self.cost)) == node
+        while True:
+            met = np.flatnonzero(found[first] != found[second])
+            if met.size == 0:
+                return found
+            found[first[met]] = found[second[met]] = True
 
 
 class PlaceGraph(ConnectivityGraph):
@@ -285,21 +262,128 @@ class PlaceGraph(ConnectivityGraph):
     def route(self) -> list[int]:
         """Return the nodes of the minimax route, which has the lowest maximum node cost.
 
-        The route is found with a minimum spanning tree ([Hu1961]).
+        It is the route in a minimum spanning tree ([Hu1961]), which grows from the start.
         """
-        from scipy import sparse
-        from scipy.sparse import csgraph
-
         cost = np.maximum(np.array(self.cost), -ROOM)
         cost[: GOAL + 1] = -ROOM
-        first, second = self._all_joints().T
-        dear = np.maximum(cost[first], cost[second]) + 2.0 * ROOM
-        tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
-        before = csgraph.breadth_first_order(tree, START, directed=False)[1]
-        route = [GOAL]
-        while route[-1] != START:
-            route.append(int(before[route[-1]]))
-        return route
+        return _route(predecessors(self._all_joints(), cost, START, GOAL, is_minimax=True))
+
+
+def _route(before: IntArray) -> list[int]:
+    """Return the nodes from goal to start, given the predecessors of all nodes; empty if the goal was not reached."""
+    route = [GOAL]
+    while route[-1] != START:
+        route.append(int(before[route[-1]]))
+        if route[-1] < 0:
+            return []
+    return route
+
+
+_COMPONENTS = Kernel("optdock_connected_cells", sizes=3, numbers=0)
+_PREDECESSORS = Kernel("optdock_predecessors", sizes=5, numbers=0)
+
+
+def _connected_cells_native(kinds: IntArray) -> tuple[IntArray, IntArray]:
+    labels, room, counts = np.empty_like(kinds), np.empty_like(kinds), np.empty(2, dtype=np.int64)
+    arrays = ((kinds, kinds.size), (room, kinds.size), (labels, kinds.size), (counts, 2))
+    _COMPONENTS(kinds.shape, (), arrays)
+    return labels, counts
+
+
+@twin_of(_connected_cells_native)
+def connected_cells(kinds: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the connected components of cells of one kind that share faces, in the order of their first cells.
+
+    Args:
+        kinds: 1 or 2, or 0 for cells that are omitted, Shape (layers, rows, columns).
+
+    Returns:
+        The number of each cell's component, all components of kind 1 before those of kind 2 and -1 for omitted cells,
+        Shape (layers, rows, columns), and the numbers of components of either kind, Shape (2,).
+    """
+    cells = np.arange(kinds.size).reshape(kinds.shape)
+    joints = []
+    for axis in range(3):
+        a, b = (np.swapaxes(part, 0, axis) for part in (cells, kinds))
+        is_one = (b[1:] == b[:-1]) & (b[1:] > 0)
+        joints.append(np.column_stack((a[:-1][is_one], a[1:][is_one])))
+    lowest = _lowest_connected(kinds.size, np.concatenate(joints))
+    labels, counts, flat = np.full(kinds.size, -1), [0, 0], kinds.ravel()
+    for k in (1, 2):
+        some = np.flatnonzero(flat == k)
+        first, labels[some] = np.unique(lowest[some], return_inverse=True)
+        labels[some] += counts[0] if k == 2 else 0
+        counts[k - 1] = first.size
+    return labels.reshape(kinds.shape), np.array(counts)
+
+
+def _lowest_connected(count: int, joints: IntArray) -> IntArray:
+    """Return the lowest number that is connected to each number below `count` by joints, Shape (n, 2)."""
+    lowest = np.arange(count)
+    while True:
+        first, second = lowest[joints].T
+        apart = first != second
+        if not apart.any():
+            return lowest
+        np.minimum.at(lowest, np.maximum(first, second)[apart], np.minimum(first, second)[apart])
+        while True:
+            further = lowest[lowest]
+            if np.array_equal(further, lowest):
+                break
+            lowest = further
+
+
+def _predecessors_native(joints: IntArray, cost: FloatArray, start: int, goal: int, *, is_minimax: bool) -> IntArray:
+    n, m = cost.size, len(joints)
+    before = np.empty(n, dtype=np.int64)
+    arrays = (
+        (np.ascontiguousarray(joints), 2 * m),
+        (cost, n),
+        (np.empty(n + 1, dtype=np.int64), n + 1),
+        (np.empty(2 * m, dtype=np.int64), 2 * m),
+        (np.empty(2 * m + 1, dtype=np.int64), 2 * m + 1),
+        (np.empty(2 * m + 1), 2 * m + 1),
+        (np.empty(n), n),
+        (before, n),
+    )
+    if _PREDECESSORS((n, m, start, goal, int(is_minimax)), (), arrays):
+        raise IndexError("a joint names no node")
+    return before
+
+
+@twin_of(_predecessors_native)
+def predecessors(joints: IntArray, cost: FloatArray, start: int, goal: int, *, is_minimax: bool) -> IntArray:
+    """Return the predecessor of every node on the best route from `start`; -1 if none is known.
+
+    The search ends when the goal is reached; only its own route is then certain to be the best one.
+
+    Args:
+        joints: Pairs of adjacent nodes, Shape (n, 2).
+        cost: Costs of the nodes, Shape (m,).
+        start: First node.
+        goal: Last node.
+        is_minimax: Whether the best route has the lowest maximum cost of its nodes instead of the lowest sum.
+    """
+    beside: list[list[int]] = [[] for _ in range(cost.size)]
+    for first, second in joints.tolist():
+        beside[first].append(second)
+        beside[second].append(first)
+    costs, before, best = cost.tolist(), [-1] * cost.size, [math.inf] * cost.size
+    waiting = [(-math.inf, start)]
+    best[start] = -math.inf
+    while waiting:
+        key, node = heapq.heappop(waiting)
+        if node == goal:
+            break
+        if key > best[node]:
+            continue
+        spent, best[node] = key if node != start else 0.0, -math.inf
+        for other in beside[node]:
+            reached = max(costs[node], costs[other]) if is_minimax else spent + costs[other]
+            if reached < best[other]:
+                best[other], before[other] = reached, node
+                heapq.heappush(waiting, (reached, other))
+    return np.array(before)
 
 
 @functools.lru_cache(maxsize=4096)

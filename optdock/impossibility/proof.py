@@ -242,7 +242,7 @@ _Index: TypeAlias = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
 class _ProofDocument(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
     end: Literal["goal", "start"]
     origin: tuple[_Number, _Number]

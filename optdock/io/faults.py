@@ -6,8 +6,7 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
-from optdock.io.quoting import shown
-from optdock.io.yaml_lines import listed
+from optdock.io.quoting import listed, shown
 from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:

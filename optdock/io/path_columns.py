@@ -58,7 +58,7 @@ Json: TypeAlias = Mapping[str, object]
 
 
 class _Columns(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
 
 class _Clothoid(_Columns):
@@ -85,7 +85,7 @@ class _TurnColumns(_Columns):
 
 
 _Curve: TypeAlias = _Clothoid | _Polyline | _TurnColumns
-_CURVES: TypeAdapter[list[_Curve]] = TypeAdapter(list[_Curve])
+_CURVES: TypeAdapter[list[_Curve]] = TypeAdapter(list[_Curve], config=ConfigDict(defer_build=True))
 
 
 class PathColumns(_Columns):

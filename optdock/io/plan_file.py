@@ -22,8 +22,7 @@ from optdock.impossibility import NoMotionProof, impossibility_from_dict
 from optdock.io.atomic_file import write_text
 from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
-from optdock.io.quoting import shortened, shown
-from optdock.io.yaml_lines import listed
+from optdock.io.quoting import listed, shortened, shown
 from optdock.model.constant_jerk import TimeLaw
 from optdock.samples import SampledMotion
 
@@ -248,7 +247,7 @@ def save_columns_csv(target: str | FilePath, columns: SampledMotion) -> None:
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
 
 class _PhasesDocument(_Model):
@@ -275,7 +274,7 @@ class _TrajectoryDocument(_Model):
 class _Open(_Model):
     """Base model of documents whose unknown keys are kept."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="allow", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, frozen=True, extra="allow", allow_inf_nan=False, defer_build=True)
 
 
 _Positive: TypeAlias = Annotated[float, Field(ge=0.0, le=1e12)]

@@ -5,11 +5,17 @@ Text from files may contain control characters, be very long, or be confidential
 
 from __future__ import annotations
 
-__all__ = ["in_digits", "printable", "shortened", "shown"]
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["in_digits", "listed", "printable", "shortened", "shown"]
 
 _LONGEST_VALUE = 60  # characters of a value in a message
 _LONGEST_NUMBER = 9  # characters of a number that is written with all its digits
 _LONGEST_SENTENCE = 300  # characters of a message of another library
+_MAX_FAULTS = 20  # that a message lists
 
 
 def printable(text: str) -> str:
@@ -59,3 +65,15 @@ def in_digits(value: object) -> str:
     if isinstance(value, dict):
         return f"{{{', '.join(f'{key}: {in_digits(one)}' for key, one in value.items())}}}"
     return f"[{', '.join(map(in_digits, value))}]" if isinstance(value, list | tuple) else str(value)
+
+
+def listed(source: str, lines: Sequence[str]) -> str:
+    """Join the lines of a message; beyond twenty lines, only the number of the remaining lines is given.
+
+    Args:
+        source: Name of the file for the last line.
+        lines: One line per fault.
+    """
+    if len(lines) <= _MAX_FAULTS:
+        return "\n".join(lines)
+    return "\n".join([*lines[:_MAX_FAULTS], f"{source}: and {len(lines) - _MAX_FAULTS} more faults"])

@@ -68,7 +68,7 @@ class RunColumns(NamedTuple):
 
 
 class _RunModel(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
 
 class _FinalError(_RunModel):

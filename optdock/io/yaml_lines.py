@@ -16,14 +16,12 @@ import yaml
 
 from optdock.errors import InvalidFile
 from optdock.io.guarded_file import MostBytes, read_text
-from optdock.io.quoting import printable, shortened, shown
+from optdock.io.quoting import listed, printable, shortened, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
-__all__ = ["Document", "Keys", "listed", "load_yaml", "parse_yaml"]
-
-_MAX_FAULTS = 20  # that a message lists
+__all__ = ["Document", "Keys", "load_yaml", "parse_yaml"]
 
 Keys: TypeAlias = "tuple[str | int, ...]"
 
@@ -125,18 +123,6 @@ def parse_yaml(text: str, path: Path) -> Document:
         raise InvalidFile(f"{path}: is nested too deeply") from error
     finally:
         loader.dispose()
-
-
-def listed(source: str, lines: Sequence[str]) -> str:
-    """Join the lines of a message; beyond twenty lines, only the number of the remaining lines is given.
-
-    Args:
-        source: Name of the file for the last line.
-        lines: One line per fault.
-    """
-    if len(lines) <= _MAX_FAULTS:
-        return "\n".join(lines)
-    return "\n".join([*lines[:_MAX_FAULTS], f"{source}: and {len(lines) - _MAX_FAULTS} more faults"])
 
 
 def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:

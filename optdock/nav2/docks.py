@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import check_yaw, is_number
-from optdock.io.quoting import shown
-from optdock.io.yaml_lines import listed, load_yaml
+from optdock.io.quoting import listed, shown
+from optdock.io.yaml_lines import load_yaml
 from optdock.model.dock import DockDirection
 from optdock.nav2.parameter_block import ParameterBlock
 from optdock.plugins.parameters import closest

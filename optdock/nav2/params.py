@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, TypeVar
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.io.numbers import check_outline
-from optdock.io.yaml_lines import listed, load_yaml
+from optdock.io.quoting import listed
+from optdock.io.yaml_lines import load_yaml
 from optdock.nav2.docks import DockEntry, DockTypeParams, read_dock, read_dock_type
 from optdock.nav2.parameter_block import PARAMETERS, ParameterBlock
 from optdock.nav2.plugin_lists import PluginInstance, plugin_instances

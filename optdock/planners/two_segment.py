@@ -293,6 +293,8 @@ def plan_two_segment(
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
     second = sampler.poses(np.array([last, 0.5 * (last + axis.goal), axis.goal]), axis.direction, "segment 2")
+    if cancel_checker():
+        raise PlannerCancelled("dock planner: cancelled after the sampling")
     return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction)), axis, joint)
 
 

@@ -26,7 +26,7 @@ class PluginParameters(BaseModel):
     defaults. The description of a field contains its unit.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, defer_build=True)
 
     @field_validator("*", mode="before")
     @classmethod

@@ -90,11 +90,18 @@ class PluginChoice:
 
 
 @cache
+def _installed() -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Return the entry points of every plugin kind; the files of all installed packages are read once."""
+    found = entry_points()
+    return {kind: tuple(found.select(group=f"optdock.{kind}")) for kind in INTERFACES}
+
+
+@cache
 def _found(kind: str) -> Mapping[str, EntryPoint]:
     if kind not in INTERFACES:
         raise PluginError(f"plugin kind {kind!r}: must be one of {', '.join(INTERFACES)}")
     found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=f"optdock.{kind}"), key=lambda p: (p.name, p.value)):
+    for point in sorted(_installed()[kind], key=lambda p: (p.name, p.value)):
         known = found.setdefault(point.name, point)
         if known.value != point.value:
             raise PluginError(f"{kind}: two plugins are named {point.name}: {known.value} and {point.value}")

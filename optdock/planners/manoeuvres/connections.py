@@ -36,7 +36,7 @@ __all__ = [
 _PAIRS = 128  # pairs of poses per call of the closed forms, about a millisecond
 _COARSE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which the coarse check samples it
 _CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
-_ROUGH_BATCH = 256  # words per call of the rough check
+_ROUGH_BATCH = 64  # words per call of the rough check
 _BATCH = 24  # words per call of the coarse check
 _NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
 

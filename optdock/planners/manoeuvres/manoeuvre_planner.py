@@ -277,6 +277,7 @@ class Stages:
             return
         start = self.trees.from_start()
         found = connections(*all_pairs(TreeNodes(start, ROOT), staging), effort.radius, self.space, _WORDS_PER_PAIR)
+        self._poll()
         found = found.rows(found.prices < self._worthwhile())
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
         ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
@@ -372,6 +373,7 @@ class Stages:
         """Yield the first few paths that differ from all earlier paths and may be cheaper than the best plan."""
         offered = 0
         for arcs in found:
+            self._poll()
             is_cheaper = least_prices(arcs.lengths, self.problem)[0] < self._better_than()
             if not is_cheaper or not self._is_another_way(arcs):
                 continue
