@@ -33,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 _MAX_STEP = 0.08  # [m], length of first cells
 _MAX_LEVELS = 24  # of bisection
+_MOST_OPEN = 5_000  # cells that are not proven; more of them would make a file of many megabytes
 _DIGITS = 9  # of directions [rad]
 _SPARE = 0.02 * TOLERANCE  # [m]: for the rounding of directions and the intervals of the judge
 _APART = 1e-9  # [m]: pieces of a footprint that is not convex must not touch anything
@@ -128,15 +129,17 @@ def _near(path: Path, problem: DockingProblem) -> tuple[ObstacleSet, FloatArray]
 
 
 class _Pairs(NamedTuple):
-    """Pairs of a cell and an obstacle that need a separating direction: indices, angle [rad], gap [m]. Shape (n,).
+    """Pairs of a cell and an obstacle that need a separating direction: indices, angle [rad]. Shape (n,).
 
-    `outside`: mask of the cells in which the robot may leave the region.
+    `gap`: lower bound of the distance along the direction in the cell [m]. `distance`: distance in the middle of the
+    cell [m]. `outside`: mask of the cells in which the robot may leave the region.
     """
 
     cell: IntArray
     obstacle: IntArray
     angle: FloatArray
     gap: FloatArray
+    distance: FloatArray
     outside: BoolArray
 
 
@@ -156,7 +159,9 @@ class _Search:
         cells = self.motion.cells(_MAX_STEP)
         found: list[tuple[int, float, float, list[list[float]]]] = []
         for _ in range(_MAX_LEVELS):
-            proven, planes = self._round(cells)
+            proven, planes, is_hopeless = self._round(cells)
+            if is_hopeless or np.count_nonzero(~proven) > _MOST_OPEN:
+                return None
             done = np.flatnonzero(proven)
             found += zip(*(column[done].tolist() for column in cells), (planes[k] for k in done), strict=True)
             if done.size == proven.size:
@@ -166,8 +171,12 @@ class _Search:
             cells = cells.rows(np.flatnonzero(~proven)).cut(2)
         return None
 
-    def _round(self, cells: Cells) -> tuple[BoolArray, list[list[list[float]]]]:
-        """Return a mask of the proven cells, and the planes of every cell: obstacle, piece of the footprint, angle."""
+    def _round(self, cells: Cells) -> tuple[BoolArray, list[list[list[float]]], bool]:
+        """Return a mask of the proven cells, their planes (obstacle, piece, angle), and whether no cells can be proven.
+
+        No direction gives more than the distance (C3). If the distance in the middle of a cell is less than required
+        there, no smaller cell that contains this pose is proven.
+        """
         middle = 0.5 * (cells.first + cells.last)
         n = middle.size
         nodes = self.motion.nodes(np.tile(cells.segment, 3), np.concatenate((cells.first, middle, cells.last)))
@@ -176,19 +185,21 @@ class _Search:
         after = self.motion.bounds(Cells(cells.segment, middle, cells.last), at, last)
         half, velocity = np.maximum(before.width, after.width), before.velocity_last
         bend, twist = np.maximum(before.bend, after.bend), np.maximum(before.twist, after.twist)
-        need = self._required(first, last, 0.5 * bend * half**2) - TOLERANCE
-        if len(self.bodies) > 1:
-            need = np.maximum(need, _APART)
+        least = -np.inf if len(self.bodies) == 1 else _APART
+        need = np.maximum(self._required(first, last, 0.5 * bend * half**2) - TOLERANCE, least)
+        need_there = np.maximum(self._required(at, at, np.zeros(n)) - TOLERANCE, least)
         proven: BoolArray = np.ones(n, dtype=np.bool_)
+        is_hopeless = False
         planes: list[list[list[float]]] = [[] for _ in range(n)]
         for number, body in enumerate(self.bodies):
             stray = 0.5 * (bend[:, None] + np.hypot(*body.vertices.T) * twist[:, None]) * half[:, None] ** 2
             pairs = self._pairs(body, at, velocity, half, stray, np.maximum(need, 0.0) + _BEYOND)
             proven[pairs.outside] = False
             proven[pairs.cell[~(pairs.gap >= need[pairs.cell] + _SPARE)]] = False
+            is_hopeless |= bool(np.any(pairs.distance < need_there[pairs.cell] + _SPARE))
             for cell, *plane in zip(pairs.cell.tolist(), pairs.obstacle.tolist(), pairs.angle.tolist(), strict=True):
                 planes[cell].append([plane[0], number, plane[1]])
-        return proven, planes
+        return proven, planes, is_hopeless
 
     def _required(self, first: FloatArray, last: FloatArray, sag: FloatArray) -> FloatArray:
         """Return the largest required clearance in every cell [m], Shape (n,)."""
@@ -219,14 +230,15 @@ class _Search:
         meets = np.all((rocks.lower <= high[:, None]) & (rocks.upper >= low[:, None]), axis=2)
         cell, rock = np.nonzero(meets)
         if cell.size == 0:
-            return _Pairs(cell, rock, np.zeros(0), np.zeros(0), outside)
-        axis = separation(body, at[cell], rocks.pieces(rock)).axis
+            nothing = np.zeros(0)
+            return _Pairs(cell, rock, nothing, nothing, nothing, outside)
+        distance, axis = separation(body, at[cell], rocks.pieces(rock))
         angle = np.asarray(np.round(np.arctan2(axis[:, 1], axis[:, 0]), _DIGITS), dtype=np.float64)
         n = np.column_stack((np.cos(angle), np.sin(angle)))[:, None]
         height, rate = (np.sum(n * column[cell], axis=2) for column in (corners, moves))
         near = (height - np.abs(rate) * half[cell, None] - stray[cell]).min(axis=1)
         far = np.sum(n * rocks.vertices[rock], axis=2).max(axis=1)
-        return _Pairs(cell, rock, angle, near - far, outside)
+        return _Pairs(cell, rock, angle, near - far, distance, outside)
 
 
 def _segment_cells(cells: list[tuple[int, float, float, list[list[float]]]]) -> dict[str, object]:

@@ -300,10 +300,12 @@ class _Motion:
 
     def check(self) -> float:
         """Check rests, waits and every limit over the whole motion; return its duration [s]."""
-        rests = [k for k, (_, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
-        near = [[k for k in rests if (self.states[k][0] - place).size <= TOLERANCE] for place in self.begins]
-        cuts = [0, *(min(found, default=-1) for found in near[1:-1]), len(self.phases)]
-        _hold(cuts == sorted(cuts) and cuts[-1] in near[-1], f"rest: none at the end of a segment, {cuts}")
+        rests = [(s, k) for k, (s, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
+        # (C14): a segment has the phases between the rests nearest to its ends, even if it is shorter than the tolerance.
+        near = [min((((s - place).size, k) for s, k in rests), default=(math.inf, -1)) for place in self.begins[1:-1]]
+        near += [((s - self.begins[-1]).size, k) for s, k in rests if k == len(self.phases)] or [(math.inf, -1)]
+        cuts = [0, *(k for _, k in near)]
+        _hold(max(near)[0] <= TOLERANCE and cuts == sorted(cuts), f"rest: none at the end of a segment, {cuts}")
         for i, (first, last) in enumerate(pairwise(cuts)):
             parts = [(state, *phase) for state, phase in zip(self.states, self.phases, strict=False)][first:last]
             while parts:  # divided until every limit is proven
