@@ -152,15 +152,16 @@ class _Clearance:
     def __init__(self, proof: dict[str, Any]) -> None:
         robot, rule, (x, y, yaw) = proof["robot"], proof["clearance"], proof["start"]["pose"]
         self.ends, outline = [proof["dock"]["pose"], proof["start"]["pose"]], robot["footprint"]
-        self.region, self.obstacles, self.pieces = proof["region"], proof["obstacles"], robot.get("pieces") or [outline]
-        self.arms = [[(px, py, _length(_Span(px), _Span(py))) for px, py in piece] for piece in self.pieces]
+        self.region, rocks, pieces = proof["region"], proof["obstacles"], robot.get("pieces") or [outline]
+        self.obstacles, shapes = ([[(_Span(x), _Span(y)) for x, y in one] for one in some] for some in (rocks, pieces))
+        self.arms = [[(px, py, _Span(_length(px, py))) for px, py in shape] for shape in shapes]
         edges: dict[Any, int] = {}
-        for sign, ring in ((1, outline), *((-1, piece) for piece in self.pieces)):
+        for sign, ring in ((1, outline), *((-1, piece) for piece in pieces)):
             for a, b in pairwise([(px, py) for px, py in [*ring, ring[0]]]):
                 edges[min(a, b), max(a, b)] = edges.get((min(a, b), max(a, b)), 0) + sign * ((a < b) - (a > b))
         # Inner edges cancel, so winding numbers agree: a point inside the outline is inside the hull of a piece.
         _hold(not any(edges.values()), "footprint: its convex pieces do not cover it")
-        self.boxes = [[_Span.around([_Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
+        self.boxes = [[_Span.around([point[k] for point in rock]) for k in (0, 1)] for rock in self.obstacles]
         numbers: list[float] = [rule[name] for name in ("required", "at_dock", "taper", "dock_run", "start_relief")]
         most, self.at_dock, self.taper, self.run, self.relief = numbers
         self.at_start, (e, w) = rule["at_start"], robot["tracking"]
@@ -168,9 +169,9 @@ class _Clearance:
         _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
         radius, length = max(_length(_Span(px), _Span(py)) for px, py in outline), [px for px, _ in outline]
         self.most: float = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
-        bodies = [[((p + x).lo, (q + y).lo) for p, q in (_Span(yaw).turned(*at) for at in one)] for one in self.pieces]
+        bodies = [[((p + x).lo, (q + y).lo) for p, q in (_Span(yaw).turned(*at) for at in one)] for one in shapes]
         # The clearance of the start is at most the length of some line to an obstacle, up to rounding.
-        gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in self.obstacles]
+        gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in rocks]
         self.kept: float = min(gaps, default=1e9) + 1e-14 * (radius + abs(x) + abs(y))
         eased = self.relief <= 2.0 * (max(length) - min(length)) * _WIDE and self.kept < self.most
         _hold(self.relief == 0.0 or eased, "clearance: start_relief is not allowed (C22)")
@@ -220,8 +221,7 @@ class _Clearance:
 def _gap(corners: list[Any], ring: list[Any]) -> float:
     best = math.inf  # distance of corners from the edges of a ring, up to rounding
     for (ax, ay), (bx, by) in pairwise([*ring, ring[0]]):
-        dx, dy = bx - ax, by - ay
-        square = dx * dx + dy * dy
+        dx, dy, square = bx - ax, by - ay, (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
         for px, py in corners:
             t = min(1.0, max(0.0, ((px - ax) * dx + (py - ay) * dy) / square)) if square > 0.0 else 0.0
             best = min(best, math.hypot(px - ax - t * dx, py - ay - t * dy))
