@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import itertools
 import json
 import math
 import random
@@ -236,6 +237,38 @@ def test_pieces_may_not_overlap_an_obstacle_even_by_the_tolerance():
             [[0, piece, angle] for piece in range(3)] for _ in forged["proof"]["cells"][0]["planes"]
         ]
         assert "obstacle 0 is too close" in refused(forged)
+
+
+def wall_before(x):
+    return [[x, -1.0], [x + 0.2, -1.0], [x + 0.2, 1.0], [x, 1.0]]
+
+
+def test_a_robot_that_is_not_convex_may_touch_an_obstacle_with_the_edge_of_its_hull():
+    """The tips of both prongs end at x = 2.4 m; they may overlap a wall by the tolerance, as a convex robot may."""
+    document = written([spline([0.0, 2.0], [0.0, 0.0])], U_SHAPE, [wall_before(2.4 - 5e-7)],
+                       clearance=ClearanceRule(0.0, 0.0, 0.0))  # fmt: skip
+    assert judge(json.dumps(document)).startswith("accepted")
+    for depth, accepted in ((-1e-7, True), (9.8e-7, True), (1.02e-6, False), (1e-3, False)):
+        document["proof"]["obstacles"] = [wall_before(2.4 - depth)]
+        if accepted:
+            assert judge(json.dumps(document)).startswith("accepted")
+        else:
+            assert "obstacle 0 is too close" in refused(document)
+
+
+@pytest.mark.parametrize("depth", [1e-9, 5e-7, 0.05])
+def test_no_direction_allows_an_overlap_inside_the_hull(depth):
+    """A post between the prongs overlaps the ground of the U, each piece of which it overlaps by less than 1 um."""
+    document = written([spline([0.0, 0.1], [0.0, 0.0])], U_SHAPE, [wall_before(0.51)],
+                       clearance=ClearanceRule(0.0, 0.0, 0.0))  # fmt: skip
+    assert judge(json.dumps(document)).startswith("accepted")
+    ground = 0.2 - depth
+    document["proof"]["obstacles"] = [[[ground, -0.05], [0.3, -0.05], [0.3, 0.05], [ground, 0.05]]]
+    proof = document["proof"]
+    planes = proof["cells"][0]["planes"]
+    for angles in itertools.product([0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi], repeat=3):
+        planes[:] = [[[0, piece, angle] for piece, angle in enumerate(angles)]] * len(planes)
+        assert "obstacle 0 is too close" in refused(document)
 
 
 @pytest.mark.parametrize(
