@@ -7,13 +7,16 @@ make the judge refuse the file.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import logging
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.footprint import convex_body
 from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.polygon import convex_cover
 from optdock.geometry.pose import FARTHEST, transform_points
 from optdock.geometry.separation import separation
 from optdock.model.limits import finite_limits
@@ -33,6 +36,7 @@ logger = logging.getLogger(__name__)
 
 _MAX_STEP = 0.08  # [m], length of first cells
 _MAX_LEVELS = 24  # of bisection
+_MOST_OPEN = 5_000  # cells that are not proven; more of them would make a file of many megabytes
 _DIGITS = 9  # of directions [rad]
 _SPARE = 0.02 * TOLERANCE  # [m]: for the rounding of directions and the intervals of the judge
 _APART = 1e-9  # [m]: pieces of a footprint that is not convex must not touch anything
@@ -127,17 +131,57 @@ def _near(path: Path, problem: DockingProblem) -> tuple[ObstacleSet, FloatArray]
     return ObstacleSet(vertices, near.names, near.group), region
 
 
-class _Pairs(NamedTuple):
-    """Pairs of a cell and an obstacle that need a separating direction: indices, angle [rad], gap [m]. Shape (n,).
+class _Middles(NamedTuple):
+    """Motion in the middles of cells: poses, velocities, Shape (n, 3); half width, bounds (C4), Shape (n,)."""
 
-    `outside`: mask of the cells in which the robot may leave the region.
+    poses: FloatArray
+    velocity: FloatArray
+    half: FloatArray
+    bend: FloatArray
+    twist: FloatArray
+
+    def rows(self, keep: IntArray) -> _Middles:
+        """Return the cells selected by `keep`."""
+        return _Middles(*(column[keep] for column in self))
+
+    def corners(self, body: ConvexBody) -> _Corners:
+        """Return the corners of a body."""
+        places = transform_points(self.poses, body.vertices)
+        arm, move = places - self.poses[:, None, :2], self.velocity[:, None]
+        moves = move[..., :2] + move[..., 2:] * np.stack((-arm[..., 1], arm[..., 0]), axis=-1)
+        stray = self.bend[:, None] + np.hypot(*body.vertices.T) * self.twist[:, None]
+        return _Corners(places, moves * self.half[:, None, None], 0.5 * stray * self.half[:, None] ** 2)
+
+
+class _Corners(NamedTuple):
+    """Corners of a body in cells: places and largest moves along the tangent, Shape (n, k, 2); rest (n, k) [m]."""
+
+    places: FloatArray
+    moves: FloatArray
+    stray: FloatArray
+
+    def boxes(self, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and upper corners of boxes around the body in each cell, Shape (n, 2)."""
+        spread = np.abs(self.moves) + self.stray[..., None] + reach[:, None, None]
+        return (self.places - spread).min(axis=1), (self.places + spread).max(axis=1)
+
+    def heights(self, n: FloatArray) -> FloatArray:
+        """Return lower bounds of the body along the directions n, Shape (n, 2), in each cell, Shape (n,)."""
+        height, rate = (np.sum(n[:, None] * column, axis=2) for column in self[:2])
+        least: FloatArray = (height - np.abs(rate) - self.stray).min(axis=1)
+        return least
+
+
+class _Planes(NamedTuple):
+    """Directions that separate a body from obstacles: angle [rad], Shape (n,).
+
+    `gap`: lower bound of the distance in the cell [m]. `most`: distance in its middle, which no smaller cell around the
+    middle exceeds (C3).
     """
 
-    cell: IntArray
-    obstacle: IntArray
     angle: FloatArray
     gap: FloatArray
-    outside: BoolArray
+    most: FloatArray
 
 
 class _Search:
@@ -156,7 +200,9 @@ class _Search:
         cells = self.motion.cells(_MAX_STEP)
         found: list[tuple[int, float, float, list[list[float]]]] = []
         for _ in range(_MAX_LEVELS):
-            proven, planes = self._round(cells)
+            proven, hopeless, planes = self._round(cells)
+            if hopeless.any() or np.count_nonzero(~proven) > _MOST_OPEN:
+                return None
             done = np.flatnonzero(proven)
             found += zip(*(column[done].tolist() for column in cells), (planes[k] for k in done), strict=True)
             if done.size == proven.size:
@@ -166,29 +212,34 @@ class _Search:
             cells = cells.rows(np.flatnonzero(~proven)).cut(2)
         return None
 
-    def _round(self, cells: Cells) -> tuple[BoolArray, list[list[list[float]]]]:
-        """Return a mask of the proven cells, and the planes of every cell: obstacle, piece of the footprint, angle."""
+    def _round(self, cells: Cells) -> tuple[BoolArray, BoolArray, list[list[list[float]]]]:
+        """Return masks of the proven cells and of those that cannot be divided into proven ones, and their planes.
+
+        A plane consists of obstacle, piece of the footprint, and angle.
+        """
         middle = 0.5 * (cells.first + cells.last)
         n = middle.size
         nodes = self.motion.nodes(np.tile(cells.segment, 3), np.concatenate((cells.first, middle, cells.last)))
         first, at, last = nodes.poses[:n], nodes.poses[n : 2 * n], nodes.poses[2 * n :]
         before = self.motion.bounds(Cells(cells.segment, cells.first, middle), first, at)
         after = self.motion.bounds(Cells(cells.segment, middle, cells.last), at, last)
-        half, velocity = np.maximum(before.width, after.width), before.velocity_last
-        bend, twist = np.maximum(before.bend, after.bend), np.maximum(before.twist, after.twist)
+        half, bend = np.maximum(before.width, after.width), np.maximum(before.bend, after.bend)
+        middles = _Middles(at, before.velocity_last, half, bend, np.maximum(before.twist, after.twist))
         need = self._required(first, last, 0.5 * bend * half**2) - TOLERANCE
-        if len(self.bodies) > 1:
-            need = np.maximum(need, _APART)
-        proven: BoolArray = np.ones(n, dtype=np.bool_)
+        need_there = self._required(at, at, np.zeros(n)) - TOLERANCE
+        proven, hopeless = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
         planes: list[list[list[float]]] = [[] for _ in range(n)]
         for number, body in enumerate(self.bodies):
-            stray = 0.5 * (bend[:, None] + np.hypot(*body.vertices.T) * twist[:, None]) * half[:, None] ** 2
-            pairs = self._pairs(body, at, velocity, half, stray, np.maximum(need, 0.0) + _BEYOND)
-            proven[pairs.outside] = False
-            proven[pairs.cell[~(pairs.gap >= need[pairs.cell] + _SPARE)]] = False
-            for cell, *plane in zip(pairs.cell.tolist(), pairs.obstacle.tolist(), pairs.angle.tolist(), strict=True):
-                planes[cell].append([plane[0], number, plane[1]])
-        return proven, planes
+            low, high = middles.corners(body).boxes(np.maximum(need, 0.0) + _BEYOND)
+            proven[np.any((low < self.region[0]) | (high > self.region[1]), axis=1)] = False
+            meets = np.all((self.obstacles.lower <= high[:, None]) & (self.obstacles.upper >= low[:, None]), axis=2)
+            cell, rock = np.nonzero(meets)
+            angle, gap, most = self._planes(body, middles.rows(cell), rock)
+            proven[cell[~(gap >= need[cell] + _SPARE)]] = False
+            hopeless[cell[most < need_there[cell] + _SPARE]] = True
+            for k, *plane in zip(cell.tolist(), rock.tolist(), angle.tolist(), strict=True):
+                planes[k].append([plane[0], number, plane[1]])
+        return proven, hopeless, planes
 
     def _required(self, first: FloatArray, last: FloatArray, sag: FloatArray) -> FloatArray:
         """Return the largest required clearance in every cell [m], Shape (n,)."""
@@ -198,35 +249,34 @@ class _Search:
         ]
         return self.problem.path_clearance.required_at(far[0], far[1], self.at_start, self.relief)
 
-    def _pairs(
-        self,
-        body: ConvexBody,
-        at: FloatArray,
-        velocity: FloatArray,
-        half: FloatArray,
-        stray: FloatArray,
-        reach: FloatArray,
-    ) -> _Pairs:
-        """Return the pairs of cells and obstacles whose boxes are within `reach`."""
-        corners = transform_points(at, body.vertices)
-        arm = corners - at[:, None, :2]
-        moves = velocity[:, None, :2] + velocity[:, None, 2:] * np.stack((-arm[..., 1], arm[..., 0]), axis=-1)
-        spread = np.abs(moves) * half[:, None, None] + stray[..., None]
-        low, high = (corners - spread).min(axis=1), (corners + spread).max(axis=1)
-        low, high = low - reach[:, None], high + reach[:, None]
-        outside: BoolArray = np.any((low < self.region[0]) | (high > self.region[1]), axis=1)
-        rocks = self.obstacles
-        meets = np.all((rocks.lower <= high[:, None]) & (rocks.upper >= low[:, None]), axis=2)
-        cell, rock = np.nonzero(meets)
-        if cell.size == 0:
-            return _Pairs(cell, rock, np.zeros(0), np.zeros(0), outside)
-        axis = separation(body, at[cell], rocks.pieces(rock)).axis
+    def _planes(self, body: ConvexBody, cells: _Middles, rock: IntArray) -> _Planes:
+        """Return a plane for every pair of a cell and an obstacle."""
+        found = self._best_planes(body, cells, rock)
+        near = np.flatnonzero(found.gap < _APART)
+        if len(self.bodies) == 1 or near.size == 0:
+            return found
+        # A piece may overlap by the tolerance only along a direction in which the whole footprint does.
+        angle, gap, most = self._best_planes(self.hull, cells.rows(near), rock[near])
+        found.angle[near], found.gap[near] = angle, gap
+        found.most[near] = np.where(found.most[near] >= _APART, found.most[near], most)
+        return found
+
+    @functools.cached_property
+    def hull(self) -> ConvexBody:
+        """The convex hull of the footprint."""
+        import shapely
+
+        (hull,) = convex_cover(shapely.convex_hull(shapely.Polygon(self.problem.robot.footprint.vertices)))
+        return convex_body(hull)
+
+    def _best_planes(self, body: ConvexBody, cells: _Middles, rock: IntArray) -> _Planes:
+        if rock.size == 0:
+            return _Planes(np.zeros(0), np.zeros(0), np.zeros(0))
+        most, axis = separation(body, cells.poses, self.obstacles.pieces(rock))
         angle = np.asarray(np.round(np.arctan2(axis[:, 1], axis[:, 0]), _DIGITS), dtype=np.float64)
-        n = np.column_stack((np.cos(angle), np.sin(angle)))[:, None]
-        height, rate = (np.sum(n * column[cell], axis=2) for column in (corners, moves))
-        near = (height - np.abs(rate) * half[cell, None] - stray[cell]).min(axis=1)
-        far = np.sum(n * rocks.vertices[rock], axis=2).max(axis=1)
-        return _Pairs(cell, rock, angle, near - far, outside)
+        n = np.column_stack((np.cos(angle), np.sin(angle)))
+        far = np.sum(n[:, None] * self.obstacles.vertices[rock], axis=2).max(axis=1)
+        return _Planes(angle, cells.corners(body).heights(n) - far, most)
 
 
 def _segment_cells(cells: list[tuple[int, float, float, list[list[float]]]]) -> dict[str, object]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from itertools import accumulate, pairwise, product, zip_longest
+from itertools import accumulate, chain, pairwise, product, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,8 +40,8 @@ class _Span:
 
     def __init__(self, lo: float, hi: float | None = None) -> None:
         self.lo, self.hi = lo, lo if hi is None else hi
-        ordered = type(lo) is type(self.hi) is float and -math.inf < lo <= self.hi < math.inf  # also false for NaN
-        _hold(ordered, "arithmetic: a number overflows or is no number")
+        if not (type(lo) is type(self.hi) is float and -math.inf < lo <= self.hi < math.inf):  # also true for NaN
+            raise Refusal("arithmetic: a number overflows or is no number")
 
     def __add__(self, other: _Span | float) -> _Span:
         o = other if isinstance(other, _Span) else _Span(other)
@@ -113,14 +113,13 @@ class _Segment:
 
     def __init__(self, curve: dict[str, Any], name: str) -> None:
         _hold("poses" not in curve and ("turn" in curve) != ("knots" in curve), f"{name}: no clothoids and no turn")
-        self.name, (x, y, yaw), is_turn = name, curve["start"], "turn" in curve
-        if is_turn:
-            bends, knots = [math.copysign(1.0, curve["turn"])] * 2, [0.0, abs(curve["turn"])]
-            curve = {**curve, "direction": 0.0, "knots": knots, "curvature": bends}
+        self.name, (x, y, yaw), turn = name, curve["start"], curve.get("turn")
+        if turn is not None:
+            curve = {"direction": 0.0, "knots": [0.0, abs(turn)], "curvature": [math.copysign(1.0, turn)] * 2}
         numbers: tuple[float, list[float], list[float]] = curve["direction"], curve["knots"], curve["curvature"]
         self.gear, self.knots, self.bends = numbers
         _hold(self.knots[0] == 0.0 and all(a < b for a, b in pairwise(self.knots)), f"{name}: knots must rise from 0")
-        _hold(is_turn or self.gear in (1.0, -1.0), f"{name}: the direction must be 1 or -1")
+        _hold(turn is not None or self.gear in (1.0, -1.0), f"{name}: the direction must be 1 or -1")
         pieces = zip(pairwise(self.knots), pairwise(self.bends), strict=True)
         self.rates: list[_Span] = [(_Span(m) - k) / (_Span(b) - a) for (a, b), (k, m) in pieces]
         self.start, self.length = _Pose(_Span(x), _Span(y), _Span(yaw)), _Span(self.knots[-1])
@@ -129,7 +128,7 @@ class _Segment:
         return self.rates[index] * (place - self.knots[index]) + self.bends[index]
 
     def cells(self, borders: list[float]) -> list[tuple[Any, ...]]:
-        """Return poses, velocity in the middle, bounds (C4) and half width of the cells between all the borders."""
+        """Return poses, velocity in the middle, bounds (C4) and half widths of the cells between all the borders."""
         whole = borders[0] == self.knots[0] and borders[-1] == self.knots[-1] and set(self.knots) <= set(borders)
         _hold(whole and all(a < b for a, b in pairwise(borders)), f"cells: they do not cover {self.name} in order")
         found, pose, index = [], self.start, 0
@@ -140,7 +139,9 @@ class _Segment:
             at, end = (pose.after(_Span(to) - u, bends[0], rate, self.gear) for to in (middle, v))
             velocity, most = (*at.yaw.turned(self.gear, 0.0), bends[1]), _Span(max(bend.size for bend in bends))
             half = max((_Span(middle) - u).hi, (_Span(v) - middle).hi)
-            found.append(((pose, at, end), velocity, most * abs(self.gear), most * most + rate.size, half))
+            found.append(
+                ((pose, at, end), velocity, most * abs(self.gear), most * most + rate.size, _Span(-half, half))
+            )
             pose = end
         return found
 
@@ -151,14 +152,16 @@ class _Clearance:
     def __init__(self, proof: dict[str, Any]) -> None:
         robot, rule, (x, y, yaw) = proof["robot"], proof["clearance"], proof["start"]["pose"]
         self.ends, outline = [proof["dock"]["pose"], proof["start"]["pose"]], robot["footprint"]
-        self.region, self.obstacles, self.pieces = proof["region"], proof["obstacles"], robot.get("pieces") or [outline]
+        self.region, rocks, pieces = proof["region"], proof["obstacles"], robot.get("pieces") or [outline]
+        self.obstacles, shapes = ([[(_Span(x), _Span(y)) for x, y in one] for one in some] for some in (rocks, pieces))
+        self.arms = [[(px, py, _Span(_length(px, py))) for px, py in shape] for shape in shapes]
         edges: dict[Any, int] = {}
-        for sign, ring in ((1, outline), *((-1, piece) for piece in self.pieces)):
+        for sign, ring in ((1, outline), *((-1, piece) for piece in pieces)):
             for a, b in pairwise([(px, py) for px, py in [*ring, ring[0]]]):
                 edges[min(a, b), max(a, b)] = edges.get((min(a, b), max(a, b)), 0) + sign * ((a < b) - (a > b))
         # Inner edges cancel, so winding numbers agree: a point inside the outline is inside the hull of a piece.
         _hold(not any(edges.values()), "footprint: its convex pieces do not cover it")
-        self.boxes = [[_Span.around([_Span(p[k]) for p in rock]) for k in (0, 1)] for rock in self.obstacles]
+        self.boxes = [[_Span.around([point[k] for point in rock]) for k in (0, 1)] for rock in self.obstacles]
         numbers: list[float] = [rule[name] for name in ("required", "at_dock", "taper", "dock_run", "start_relief")]
         most, self.at_dock, self.taper, self.run, self.relief = numbers
         self.at_start, (e, w) = rule["at_start"], robot["tracking"]
@@ -166,10 +169,9 @@ class _Clearance:
         _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
         radius, length = max(_length(_Span(px), _Span(py)) for px, py in outline), [px for px, _ in outline]
         self.most: float = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
-        at_start = [[_Span(yaw).turned(*point) for point in piece] for piece in self.pieces]
-        bodies = [[((px + x).lo, (py + y).lo) for px, py in one] for one in at_start]
+        bodies = [[((p + x).lo, (q + y).lo) for p, q in (_Span(yaw).turned(*at) for at in one)] for one in shapes]
         # The clearance of the start is at most the length of some line to an obstacle, up to rounding.
-        gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in self.obstacles]
+        gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in rocks]
         self.kept: float = min(gaps, default=1e9) + 1e-14 * (radius + abs(x) + abs(y))
         eased = self.relief <= 2.0 * (max(length) - min(length)) * _WIDE and self.kept < self.most
         _hold(self.relief == 0.0 or eased, "clearance: start_relief is not allowed (C22)")
@@ -182,27 +184,28 @@ class _Clearance:
 
     def needed(self, first: _Pose, last: _Pose, sag: _Span) -> float:
         """Return an upper bound of the requirement in a cell, from its largest distances from dock and start (C7)."""
-        far = [max(_length(at.x - x, at.y - y) for at in (first, last)) for x, y, _ in self.ends]
-        dock, start = ((sag + distance).hi for distance in far)
+        dock, start = ((sag + max(_length(at.x - x, at.y - y) for at in (first, last))).hi for x, y, _ in self.ends)
         kept = max(self.kept - 0.005, 0.5 * self.kept) if self.relief else self.kept
         leaving = (_Span(max(0.0, (_Span(start) - self.relief).hi)) * 0.5 + kept).hi
-        if self.relief and self.at_start is not None:
-            leaving = min(leaving, self._tapered(start, self.at_start))
-        return min(self._tapered(dock, self.at_dock), leaving)
+        eased = self._tapered(start, self.at_start) if self.relief and self.at_start is not None else math.inf
+        return min(self._tapered(dock, self.at_dock), leaving, eased)
 
     def check(self, cell: tuple[Any, ...], planes: list[Any], where: str) -> None:
         """Check (C8) in a cell: from its middle, every corner of the footprint moves as in (C5)."""
-        (first, at, last), (vx, vy, turn), bend, twist, width = cell
-        half, named = _Span(-width, width), {(o, p): _Span(angle) for o, p, angle in planes}
-        need = (_Span(self.needed(first, last, bend * width * width * 0.5)) - TOLERANCE).hi
-        need = need if len(self.pieces) == 1 else max(need, 1e-12)  # no tolerance for overlaps of pieces
+        (first, at, last), (vx, vy, turn), bend, twist, half = cell
+        square, named = half * half * 0.5, {(o, p): _Span(angle) for o, p, angle in planes}
+        need = (_Span(self.needed(first, last, bend * square)) - TOLERANCE).hi
         reach, (x0, y0, x1, y1) = _Span(-max(need, 0.0), max(need, 0.0)), self.region
-        for number, piece in enumerate(self.pieces):
-            corners = []
-            for px, py in piece:
-                (x, y), stray = at.yaw.turned(px, py), twist * _length(_Span(px), _Span(py)) + bend
-                around = stray * half * half * 0.5  # half * half is [-half^2, half^2]
-                corners.append((at.x + x, at.y + y, vx - turn * y, vy + turn * x, around))
+
+        def clear(i: int, number: int, body: list[Any], least: float) -> bool:  # (C5), along a direction of the file
+            nx, ny = named[i, number].turned(1.0, 0.0)
+            near = min((nx * x + ny * y + (nx * u + ny * v) * half + e).lo for x, y, u, v, e in body)
+            return bool((_Span(near) - max((nx * x + ny * y).hi for x, y in self.obstacles[i])).lo >= least)
+
+        c, s = at.yaw.turned(1.0, 0.0)  # then for every corner v and v' of (C4), and M d^2 / 2 of (C5)
+        arms = [[(c * px - s * py, s * px + c * py, twist * r + bend) for px, py, r in arm] for arm in self.arms]
+        pieces = [[(at.x + x, at.y + y, vx - turn * y, vy + turn * x, m * square) for x, y, m in arm] for arm in arms]
+        for number, corners in enumerate(pieces):
             wide, high = (_Span.around([c[k] + c[k + 2] * half + c[4] + reach for c in corners]) for k in (0, 1))
             inside = x0 <= wide.lo and y0 <= high.lo and wide.hi <= x1 and high.hi <= y1
             _hold(inside, f"clearance: the robot leaves the region {where}")
@@ -210,17 +213,15 @@ class _Clearance:
                 if u.lo > wide.hi or u.hi < wide.lo or v.lo > high.hi or v.hi < high.lo:
                     continue
                 _hold((i, number) in named, f"clearance: no direction for obstacle {i} and piece {number} {where}")
-                nx, ny = named[i, number].turned(1.0, 0.0)
-                near = min((nx * x + ny * y + (nx * u + ny * v) * half + e).lo for x, y, u, v, e in corners)
-                far = max((nx * ox + ny * oy).hi for ox, oy in self.obstacles[i])
-                _hold((_Span(near) - far).lo >= need, f"clearance: obstacle {i} is too close {where}")
+                # A piece may overlap by the tolerance only along a direction in which the whole footprint does.
+                far = clear(i, number, corners, max(need, 1e-12)) or clear(i, number, [*chain(*pieces)], need)
+                _hold(far, f"clearance: obstacle {i} is too close {where}")  # (C8)
 
 
 def _gap(corners: list[Any], ring: list[Any]) -> float:
     best = math.inf  # distance of corners from the edges of a ring, up to rounding
     for (ax, ay), (bx, by) in pairwise([*ring, ring[0]]):
-        dx, dy = bx - ax, by - ay
-        square = dx * dx + dy * dy
+        dx, dy, square = bx - ax, by - ay, (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
         for px, py in corners:
             t = min(1.0, max(0.0, ((px - ax) * dx + (py - ay) * dy) / square)) if square > 0.0 else 0.0
             best = min(best, math.hypot(px - ax - t * dx, py - ay - t * dy))
@@ -231,10 +232,9 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
     """Check the path rules: ends, joints, gears, turns, curvature, final straight."""
     start, dock, limits = proof["start"], proof["dock"], proof["robot"]["limits"]
     first, last, driven = segments[0], segments[-1], [one for one in segments if one.gear != 0.0]
-    begin, goal = (_Pose(*(_Span(value) for value in one["pose"])) for one in (start, dock))
     gaps = [_Span(a.gap_to(b.start)) for a, b in zip(ends[:-1], segments[1:], strict=True)]
-    _hold(first.start.gap_to(begin) <= TOLERANCE, "start: the path does not begin there")
-    _hold(ends[-1].gap_to(goal) <= TOLERANCE, "goal: the path does not end there")
+    _hold(first.start.gap_to(_Pose(*map(_Span, start["pose"]))) <= TOLERANCE, "start: the path does not begin there")
+    _hold(ends[-1].gap_to(_Pose(*map(_Span, dock["pose"]))) <= TOLERANCE, "goal: the path does not end there")
     _hold(sum(gaps, _ZERO).hi <= TOLERANCE, "joint: the path jumps between its segments")
     _hold(proof["robot"]["turning"] is not None or len(driven) == len(segments), "turn: the robot cannot turn")
     _hold(first in driven or start["speed"] == start["acceleration"] == 0.0, "turn: the robot begins at speed")
@@ -300,10 +300,12 @@ class _Motion:
 
     def check(self) -> float:
         """Check rests, waits and every limit over the whole motion; return its duration [s]."""
-        rests = [k for k, (_, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
-        near = [[k for k in rests if (self.states[k][0] - place).size <= TOLERANCE] for place in self.begins]
-        cuts = [0, *(min(found, default=-1) for found in near[1:-1]), len(self.phases)]
-        _hold(cuts == sorted(cuts) and cuts[-1] in near[-1], f"rest: none at the end of a segment, {cuts}")
+        rests = [(s, k) for k, (s, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
+        # (C14): a segment has the phases between the rests nearest to its ends, even if these are almost one place.
+        near = [min((((s - place).size, k) for s, k in rests), default=(math.inf, -1)) for place in self.begins[1:-1]]
+        near += [((s - self.begins[-1]).size, k) for s, k in rests if k == len(self.phases)] or [(math.inf, -1)]
+        cuts = [0, *(k for _, k in near)]
+        _hold(max(near)[0] <= TOLERANCE and cuts == sorted(cuts), f"rest: none at the end of a segment, {cuts}")
         for i, (first, last) in enumerate(pairwise(cuts)):
             parts = [(state, *phase) for state, phase in zip(self.states, self.phases, strict=False)][first:last]
             while parts:  # divided until every limit is proven
@@ -328,11 +330,9 @@ class _Motion:
             bend = _Polynomial(_Span.around([one.bend_at(k, part) for k, part in parts.items()]))
         top = self.slow if one.gear and (at + self.begins[i]).hi > self.zone.lo else math.inf
         limited = self._quantities(one, top, (speed, _Polynomial(a, j), bend, _Polynomial(ramp)))
-        for name, terms, least, most in [("place", place, -2e-6, knots[-1] + 2e-6), *limited]:
-            found = terms.over(width)
-            if not least * _WIDE <= found.lo <= found.hi <= most * _WIDE:
-                return str(name)
-        return ""
+        every = [("place", place, -2e-6, knots[-1] + 2e-6), *limited]
+        ranges = ((name, terms.over(width), least * _WIDE, most * _WIDE) for name, terms, least, most in every)
+        return next((name for name, found, least, most in ranges if not least <= found.lo <= found.hi <= most), "")
 
     def _quantities(self, one: _Segment, top: float, motion: tuple[_Polynomial, ...]) -> list[Any]:
         """Return each limited quantity with its bounds; the table after (C12) lists them."""

@@ -45,7 +45,7 @@ __all__ = ["another_file", "draw", "judge", "plan_text", "refusal_of"]
 
 _PLANS, _MOTIONS = 0.05, 0.4  # shares of planned and of timed cases; the others are paths
 _EASED = 0.6  # share of paths and motions with weaker rules, so that more of them are certified
-_DAMAGES = 12  # per file
+_DAMAGES = 2  # per file; every damage costs as much as the file itself
 _LONG = 1e6  # [s]: intervals of a longer motion are too wide
 _OTHERS = ("hostile", "repeated", "swapped")
 

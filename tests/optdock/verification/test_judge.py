@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import itertools
 import json
 import math
 import random
@@ -20,13 +21,15 @@ from optdock.geometry.pose import Pose2
 from optdock.io.path_columns import curves_of
 from optdock.io.proof_cells import proof_of
 from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, TurnSegment
 from optdock.model.path import Path as Way
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot, TrackingTube
-from optdock.verification import certify_path
+from optdock.model.trajectory import Trajectory
+from optdock.verification import certify_motion, certify_path
 from optdock.verification import judge as judge_file
 from optdock.verification.judge import Refusal, judge, main
 
@@ -50,7 +53,7 @@ def spline(knots, curvature, yaw=0.0):
 def written(segments, footprint=BOX, obstacles=(WALL, POST), law=None, **others):
     """The document of a path, certified among obstacles, and of a law of phases (duration, jerk)."""
     path = Way(tuple(segments))
-    turns = any(isinstance(one, TurnSegment) for one in segments)
+    turns = others.pop("turns", any(isinstance(one, TurnSegment) for one in segments))
     clearance = others.pop("clearance", ClearanceRule(0.05, 0.0, 0.0))
     tracking = others.pop("tracking", TrackingTube())
     limits = others.pop("limits", MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=2.0) if turns else LIMITS)
@@ -236,6 +239,38 @@ def test_pieces_may_not_overlap_an_obstacle_even_by_the_tolerance():
         assert "obstacle 0 is too close" in refused(forged)
 
 
+def wall_before(x):
+    return [[x, -1.0], [x + 0.2, -1.0], [x + 0.2, 1.0], [x, 1.0]]
+
+
+def test_a_robot_that_is_not_convex_may_touch_an_obstacle_with_the_edge_of_its_hull():
+    """The tips of both prongs end at x = 2.4 m; they may overlap a wall by the tolerance, as a convex robot may."""
+    document = written([spline([0.0, 2.0], [0.0, 0.0])], U_SHAPE, [wall_before(2.4 - 5e-7)],
+                       clearance=ClearanceRule(0.0, 0.0, 0.0))  # fmt: skip
+    assert judge(json.dumps(document)).startswith("accepted")
+    for depth, accepted in ((-1e-7, True), (9.8e-7, True), (1.02e-6, False), (1e-3, False)):
+        document["proof"]["obstacles"] = [wall_before(2.4 - depth)]
+        if accepted:
+            assert judge(json.dumps(document)).startswith("accepted")
+        else:
+            assert "obstacle 0 is too close" in refused(document)
+
+
+@pytest.mark.parametrize("depth", [1e-9, 5e-7, 0.05])
+def test_no_direction_allows_an_overlap_inside_the_hull(depth):
+    """A post between the prongs overlaps the ground of the U, each piece of which it overlaps by less than 1 um."""
+    document = written([spline([0.0, 0.1], [0.0, 0.0])], U_SHAPE, [wall_before(0.51)],
+                       clearance=ClearanceRule(0.0, 0.0, 0.0))  # fmt: skip
+    assert judge(json.dumps(document)).startswith("accepted")
+    ground = 0.2 - depth
+    document["proof"]["obstacles"] = [[[ground, -0.05], [0.3, -0.05], [0.3, 0.05], [ground, 0.05]]]
+    proof = document["proof"]
+    planes = proof["cells"][0]["planes"]
+    for angles in itertools.product([0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi], repeat=3):
+        planes[:] = [[[0, piece, angle] for piece, angle in enumerate(angles)]] * len(planes)
+        assert "obstacle 0 is too close" in refused(document)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -359,6 +394,97 @@ def test_a_motion_may_not_overshoot_a_segment_and_creep_back(plan):
     phases["jerks"] = [1.6, -1.6, 0.0, -1.6, 1.6, -0.5, 0.5, 0.0, 0.5, -0.5]
     plan["proof"]["robot"]["limits"].pop("max_yaw_rate")
     assert "place: beyond its limit" in refused(plan)
+
+
+# Attacks at joints: the two ends of a turn of some nanoradians lie within the tolerance of each other (C14).
+
+STEEP = 12.0  # a jerk that is allowed in a turn, but not in a drive
+DRIVE = [(1.0, 0.25), (1.0, -0.25), (1.0, -0.25), (1.0, 0.25)]  # 0.5 m from rest to rest
+
+
+def twitch(distance, jerk=STEEP):
+    """Phases from rest to rest over a distance."""
+    t = (distance / (2.0 * jerk)) ** (1.0 / 3.0)
+    return [(t, jerk), (t, -jerk), (t, -jerk), (t, jerk)]
+
+
+def drive(missing):
+    """`DRIVE` without the last `missing` metres."""
+    return [(t, jerk * (1.0 - missing / 0.5)) for t, jerk in DRIVE]
+
+
+def both_verdicts(middle, law):
+    """Whether the certificate and the judge accept two drives of 0.5 m with a segment between them."""
+    segments = [spline([0.0, 0.5], [0.0, 0.0]), middle]
+    segments.append(ClothoidSegment(ClothoidSpline(Way(tuple(segments)).end, np.array([0.0, 0.5]), np.zeros(2))))
+    limits = MotionLimits(max_acceleration=1.0, max_deceleration=1.0, max_jerk=1.0, max_yaw_rate=1.0,
+                          max_yaw_acceleration=12.0, max_curvature=9.0)  # fmt: skip
+    document = written(segments, obstacles=[POST], limits=limits, law=law, turns=True)
+    path = Way(tuple(segments))
+    problem = DockingProblem(path.start, Dock(path.end), Robot(BOX, limits, turns_in_place=True))
+    durations, jerks = (np.array(column) for column in zip(*law, strict=True))
+    certificate = certify_motion(Trajectory(path, TimeLaw(durations, jerks)), problem)
+    try:
+        return certificate.certified, judge(json.dumps(document)).startswith("accepted"), document
+    except Refusal:
+        return certificate.certified, False, document
+
+
+def tiny_turn(angle):
+    return TurnSegment(Pose2(0.5, 0.0, 0.0), angle)
+
+
+@pytest.mark.parametrize("angle", [3e-9, -5e-8, 8e-7, 3e-6])
+def test_a_turn_of_nanoradians_has_the_limits_of_a_turn(angle):
+    *verdicts, document = both_verdicts(tiny_turn(angle), [*DRIVE, *twitch(abs(angle)), *DRIVE])
+    assert verdicts == [True, True]
+    (t, jerk), *_ = twitch(abs(angle))
+    for limit, value in enumerate((jerk * t * t, jerk * t, jerk)):
+        tight = copy.deepcopy(document)
+        tight["proof"]["robot"]["turning"][limit] = 0.99 * value
+        assert "beyond its limit" in refused(tight)
+
+
+@pytest.mark.parametrize("angle", [3e-9, 8e-7, 0.1])
+@pytest.mark.parametrize("distance", [1e-12, 3e-9, 4e-7, 9e-7, 3e-6])
+def test_a_drive_next_to_a_turn_has_no_jerk_of_a_turn(angle, distance):
+    """Not in the last micrometre before a turn, nor in the first one after it, nor without any way."""
+    turn = twitch(angle) if angle < 1e-6 else twitch(angle, 0.2)
+    assert both_verdicts(tiny_turn(angle), [*DRIVE, *turn, *DRIVE])[:2] == (True, True)
+    for law in (
+        [*drive(distance), *twitch(distance), *turn, *DRIVE],
+        [*DRIVE, *turn, *twitch(distance), *drive(distance)],
+        [*DRIVE, *turn, *drive(distance), *twitch(distance)],
+    ):
+        *verdicts, _ = both_verdicts(tiny_turn(angle), law)
+        assert verdicts == [False, False]
+
+
+@pytest.mark.parametrize("length", [3e-9, 8e-7, 3e-6])
+def test_a_drive_of_nanometres_between_two_rests_has_the_limits_of_a_drive(length):
+    middle = ClothoidSegment(ClothoidSpline(Pose2(0.5, 0.0, 0.0), np.array([0.0, length]), np.full(2, 3.0)))
+    for jerk, holds in ((1.0, True), (1.01, False), (STEEP, False)):
+        *verdicts, _ = both_verdicts(middle, [*DRIVE, *twitch(length, jerk), *DRIVE])
+        assert verdicts == [holds, holds]
+
+
+@pytest.mark.parametrize("early", [-2e-6, -1.1e-6, -9e-7, -1e-9, 1e-9, 9e-7, 1.1e-6, 2e-6])
+@pytest.mark.parametrize("angle", [3e-9, 3e-6])
+def test_a_turn_that_begins_beside_its_place_is_judged_as_by_the_certificate(angle, early):
+    law = [*drive(early), *twitch(angle), *drive(-early)]
+    certified, accepted, _ = both_verdicts(tiny_turn(angle), law)
+    assert certified == accepted
+
+
+def test_a_phase_without_duration_at_a_joint_has_limits_too():
+    *_, document = both_verdicts(tiny_turn(3e-9), [*DRIVE, *twitch(3e-9), *DRIVE])
+    phases = document["trajectory"]["phases"]
+    for place in (0, 4, 8, 12):
+        for jerk in (1e3, -1e3):
+            forged = copy.deepcopy(document)
+            for name, value in (("durations", 0.0), ("jerks", jerk)):
+                forged["trajectory"]["phases"][name] = [*phases[name][:place], value, *phases[name][place:]]
+            assert "max_jerk: beyond its limit" in refused(forged)
 
 
 def test_small_jumps_add_up():
