@@ -111,7 +111,7 @@ class CostModel:
         bend, jerk, turning = self._hessians
         per_knot = lengths[self.basis.knot_gear]
         by_curvature = per_knot * (bend @ curvature) + (jerk @ curvature) / per_knot + turning @ curvature
-        lateral, total = self._lateral(rollout), float(lengths.sum())
+        lateral, total = self._lateral(rollout), float(np.add.reduce(lengths))
         tracking = self.weights.tracking * total / self.basis.num_intervals * float(lateral @ lateral)
         return self.weights.length * total + 0.5 * float(curvature @ by_curvature) + tracking
 
@@ -120,18 +120,16 @@ class CostModel:
         basis, (curvature, lengths) = self.basis, variables
         bend, jerk, turning = self._hessians
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
-        share, lateral, normals = (
-            self.weights.tracking / basis.num_intervals,
-            self._lateral(rollout),
-            self.reference.normals,
-        )
-        scale = 2.0 * share * float(lengths.sum())
+        share, lateral = self.weights.tracking / basis.num_intervals, self._lateral(rollout)
+        normals = self.reference.normals
+        scale = 2.0 * share * float(np.add.reduce(lengths))
         moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
         gradient, hessian = (scale * lateral) @ moved, scale * (moved.T @ moved)
         by_bend, by_jerk = bend @ curvature, jerk @ curvature
         gradient[:knots] += per_knot * by_bend + by_jerk / per_knot + turning @ curvature
         hessian[:knots, :knots] += per_knot * bend + jerk / per_knot + turning
-        bends, jerks = (0.5 * (curvature * force) @ basis.knot_members for force in (by_bend, by_jerk))
+        bends = 0.5 * (curvature * by_bend) @ basis.knot_members
+        jerks = 0.5 * (curvature * by_jerk) @ basis.knot_members
         gradient[knots:] += self.weights.length + bends - jerks / lengths**2 + share * float(lateral @ lateral)
         hessian.ravel()[knots * (basis.size + 1) :: basis.size + 1] += 2.0 * jerks / lengths**3
         return Quadratic(gradient, hessian)

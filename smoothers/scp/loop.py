@@ -135,8 +135,9 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
     variables, rollout = project_and_roll_out(nlp, variables)
     moved, reach = 0.0, settings.reach
     if before is not None:
-        turned = float(np.abs(rollout.poses[:, 2] - before.rollout.poses[:, 2]).max())
-        moved = max(turned, float(np.abs(variables.lengths - before.variables.lengths).max()))
+        turned = np.maximum.reduce(np.abs(rollout.poses[:, 2] - before.rollout.poses[:, 2]))
+        stretched = np.maximum.reduce(np.abs(variables.lengths - before.variables.lengths))
+        moved = max(float(turned), float(stretched))
         reach = min(settings.most_reach, settings.reach_per_motion * moved + settings.least_reach)
     return judged(nlp, variables, rollout, reach), moved
 
@@ -163,11 +164,11 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         terms.short[[0, -1]] -= settings.end_allowance  # as above
         np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
         cost += terms.cost
-    error, shortfall = nlp.ends.error(rollout), float(zones.max())
+    error, shortfall = nlp.ends.error(rollout), float(np.maximum.reduce(zones))
     x, y, yaw = np.abs(error).tolist()
     on_goal = x <= settings.goal_tolerance and y <= settings.goal_tolerance and yaw <= settings.goal_tolerance
     feasible = on_goal and shortfall <= settings.clearance_tolerance
-    missing, missed = float(zones.sum()), x + y + yaw
+    missing, missed = float(np.add.reduce(zones)), x + y + yaw
     return Iterate(
         variables, rollout, cost, found, zones, error, on_goal, feasible, shortfall, missing, missed, view, terms
     )
@@ -179,7 +180,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     buffer = settings.buffer + state.overshoot(current)
     by = sensitivity(basis, current.variables, rollout)
     goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), current.end_error
-    share = float(current.variables.lengths.sum()) / basis.num_intervals
+    share = float(np.add.reduce(current.variables.lengths)) / basis.num_intervals
     motion = share * (by.x.T @ by.x + by.y.T @ by.y + settings.yaw_motion * (by.yaw.T @ by.yaw))
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)

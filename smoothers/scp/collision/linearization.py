@@ -52,17 +52,18 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
     While many pairs are in collision, a small obstacle has planes only in the intervals where the body comes closest.
     The rows of neighbouring intervals are nearly equal and would displace rows of other obstacles.
     """
-    settings, worst = scene.settings, float(found.margin.min(initial=np.inf))
+    settings, worst = scene.settings, float(np.minimum.reduce(found.margin, initial=np.inf))
     deep = _deeply_penetrating(found.margin, worst, scene.body.width, settings)
     chosen = ~deep
     limit = min(most, max(settings.few_planes, num_intervals))
     if settings.thins_small_obstacles and worst < -settings.clear and np.count_nonzero(chosen) > limit:
         small = 2.0 * np.maximum(scene.box_half.x[0], scene.box_half.y[0]) < scene.body.width
         chosen &= ~small[found.pairs.obstacle] | local_minima(found.pairs, found.margin)
-    planes = np.flatnonzero(chosen)
+    (planes,) = chosen.nonzero()
     if planes.size > limit:
-        planes = np.sort(planes[np.argpartition(found.margin[planes], limit)[:limit]])
-    return ActivePairs(planes, np.flatnonzero(deep))
+        planes = planes[np.argpartition(found.margin[planes], limit)[:limit]]
+        planes.sort()
+    return ActivePairs(planes, deep.nonzero()[0])
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
