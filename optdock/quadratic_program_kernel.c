@@ -359,11 +359,13 @@ static void set_equations(const Program *p, const WorkingSet *w, const double *g
         for (int64_t c = 0; c < e->fixed; c++)
             sum += row[e->member[c]] * e->bound[c];
         e->right[i] = (is_row ? e->bound[at] : -g[e->index[i]]) - sum;
-        for (int64_t k = 0; k < e->size; k++)
-            if (k < e->free)
-                e->matrix[i * e->size + k] = e->matrix[k * e->size + i] = row[e->index[k]];
-            else if (is_row)
-                e->matrix[i * e->size + k] = 0.0;
+        for (int64_t k = 0; k < e->free; k++) {
+            e->matrix[i * e->size + k] = row[e->index[k]];
+            if (is_row)
+                e->matrix[k * e->size + i] = row[e->index[k]];
+        }
+        for (int64_t k = e->free; is_row && k < e->size; k++)
+            e->matrix[i * e->size + k] = 0.0;
     }
 }
 

@@ -35,6 +35,7 @@ def random_program(seed):
     room = np.where(rng.uniform(size=(2, n + m)) < 0.7, rng.uniform(0.0, 0.5, size=(2, n + m)), np.inf)
     room[:, [0, n, n + 1]] = 0.0  # a fixed variable and two equalities
     h = root @ root.T + 10.0 ** rng.uniform(-3.0, 0.0) * np.eye(n)
+    h *= 1.0 + 1e-16 * rng.integers(-2, 3, size=h.shape)  # symmetric except for rounding
     return program_of(h, 5.0 * rng.normal(size=n), a, values - room[0], values + room[1], leading=n // 2)
 
 
