@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["EXACT", "UNBOUNDED", "DenseProgram", "QuadraticProgram", "minimizer"]
+__all__ = ["EXACT", "UNBOUNDED", "DenseProgram", "Minimizer", "QuadraticProgram", "minimizer"]
 
 UNBOUNDED = 1e30  # DAQP's value for infinity
 EXACT = 1e-12  # primal tolerance that finds all active constraints; relative to the Hessian
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 _AT_BOUND = 1e-9  # distance of active constraints from their bounds
 _MOST_ROUNDS = 1000
-_KERNEL = Kernel("optdock_active_set", sizes=5, numbers=2)
+_KERNEL = Kernel("optdock_minimizer", sizes=5, numbers=3)
 
 
 class QuadraticProgram(NamedTuple):
@@ -46,13 +46,12 @@ class QuadraticProgram(NamedTuple):
     guess: IntArray  # constraints that are probably active; changes the time, and the solution by rounding errors only
     dense: Callable[[], DenseProgram]  # returns a program for DAQP, of n variables and m rows or more, `EXACT`
 
-    def active_at(self, solution: FloatArray) -> IntArray:
-        """Return the constraints whose bound a solution attains, in order of their variables and rows."""
-        # Unlike `@`, `einsum` runs in the calling thread at every size.
-        values = np.concatenate((solution, np.einsum("ij,j->i", self.a, solution)))
-        at_lower, at_upper = values - self.bounds[0] < _AT_BOUND, self.bounds[1] - values < _AT_BOUND
-        index = np.flatnonzero(at_lower | at_upper)
-        return np.where(at_lower[index], index + 1, -(index + 1))
+
+class Minimizer(NamedTuple):
+    """Solution of a program, Shape (n,), and the constraints whose bounds it attains, in order of their numbers."""
+
+    solution: FloatArray
+    active: IntArray
 
 
 class DenseProgram:
@@ -145,7 +144,7 @@ def _memory(values: FloatArray) -> memoryview:
     return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer
 
 
-def _found_by_kernel(program: QuadraticProgram) -> FloatArray | None:
+def _by_kernel(program: QuadraticProgram) -> Minimizer | None:
     (m, n), total, guess = program.a.shape, program.bounds.shape[1], program.guess
     if bool(np.any(program.bounds[0] > program.bounds[1])):
         return None
@@ -153,54 +152,82 @@ def _found_by_kernel(program: QuadraticProgram) -> FloatArray | None:
         root: FloatArray = np.asarray(np.linalg.cholesky(program.h), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
-    found, room = np.empty(n + 1, dtype=np.int64), (n + 1) * (2 * n + 7) + 4 * n + 2 * m
+    solution, found = np.empty(n), np.empty(total, dtype=np.int64)
+    ints, doubles = 4 * n + 5 * m + 1, (n + 1) * (2 * n + 7) + 15 * n + 2 * m + 8 * n * n
     arrays = (
+        (program.h, n * n),
         (root, n * n),
         (program.g, n),
         (program.a, m * n),
         (program.bounds, 2 * total),
         (guess, guess.size),
-        (found, n + 1),
-        (np.empty(n + 5 * m, dtype=np.int64), n + 5 * m),
-        (np.empty(room), room),
+        (solution, n),
+        (found, total),
+        (np.empty(ints, dtype=np.int64), ints),
+        (np.empty(doubles), doubles),
     )
-    count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, EXACT), arrays)
-    return None if count < 0 else _minimizer_on(program, found[:count])
+    count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, EXACT, _AT_BOUND), arrays)
+    return None if count < 0 or not bool(np.isfinite(solution).all()) else Minimizer(solution, found[:count])
 
 
-@twin_of(_found_by_kernel)
-def minimizer(program: QuadraticProgram) -> FloatArray | None:
-    """Return the minimizer of a program, Shape (n,), or None if none is found."""
+@twin_of(_by_kernel)
+def minimizer(program: QuadraticProgram) -> Minimizer | None:
+    """Return the minimizer of a program, or None if none is found."""
     solver = program.dense()
     solver.fill(program)
     if solver.solve() is None:
         return None
     multipliers, (lower, upper) = solver.multipliers[: program.bounds.shape[1]], program.bounds
-    index = np.flatnonzero((multipliers != 0.0) | (lower == upper))
-    return _minimizer_on(program, np.where(multipliers[index] > 0.0, -(index + 1), index + 1))
+    active = np.flatnonzero((multipliers != 0.0) | (lower == upper))
+    solution = _minimizer_on(program, active, np.where(multipliers[active] > 0.0, upper[active], lower[active]))
+    if not bool(np.isfinite(solution).all()):
+        return None
+    values = np.concatenate((solution, np.einsum("ij,j->i", program.a, solution)))
+    at_lower, at_upper = values - lower < _AT_BOUND, upper - values < _AT_BOUND
+    attained = np.flatnonzero(at_lower | at_upper)
+    return Minimizer(solution, np.where(at_lower[attained], attained + 1, -(attained + 1)))
 
 
-def _minimizer_on(program: QuadraticProgram, active: IntArray) -> FloatArray | None:
-    """Return the minimizer with given active constraints, in any order; None if it is not finite."""
-    h, g, a, bounds, *_ = program
-    active = active[np.argsort(np.abs(active))]
-    index, n = np.abs(active) - 1, g.size
-    bound = bounds[(active < 0).astype(np.int64), index]
-    count = int(np.searchsorted(index, n))
-    fixed, rows = index[:count], a[index[count:] - n]
-    is_free = np.ones(n, dtype=np.bool_)
-    is_free[fixed] = False
-    free = np.flatnonzero(is_free)
+def _minimizer_on(program: QuadraticProgram, active: IntArray, bound: FloatArray) -> FloatArray:
+    """Return the solution of the linear equations of an active set: variables, then rows, at their bounds.
+
+    The order of all sums is that of the kernel.
+    """
+    h, g, a, *_ = program
+    count = int(np.searchsorted(active, g.size))
+    fixed, rows = active[:count], a[active[count:] - g.size]
+    free = np.delete(np.arange(g.size), fixed)
     size = free.size + len(rows)
-    matrix, right, solution = np.zeros((size, size)), np.empty(size), np.empty(n)
+    matrix, solution = np.zeros((size, size)), np.empty(g.size)
     matrix[: free.size, : free.size] = h[free[:, None], free]
     matrix[free.size :, : free.size] = rows[:, free]
-    matrix[: free.size, free.size :] = matrix[free.size :, : free.size].T
-    right[: free.size] = -g[free] - h[free[:, None], fixed] @ bound[:count]
-    right[free.size :] = bound[count:] - rows[:, fixed] @ bound[:count]
+    matrix[: free.size, free.size :] = rows[:, free].T
+    known = np.concatenate((h[free[:, None], fixed], rows[:, fixed]))
+    right = np.concatenate((-g[free], bound[count:])) - (known * bound[:count]).T.copy().sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of dependent rows
+        factor, pivot = _factors(matrix)
+        solved = _solved(factor, pivot, right)
+        left = right - (matrix * solved[:, None]).sum(axis=0)
+        solution[free] = (solved + _solved(factor, pivot, left))[: free.size]
     solution[fixed] = bound[:count]
-    try:
-        solution[free] = np.linalg.solve(matrix, right)[: free.size]
-    except np.linalg.LinAlgError:
-        return None
-    return solution if bool(np.isfinite(solution).all()) else None
+    return solution
+
+
+def _factors(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return L, in the lower triangle, and D of the factors L D L'."""
+    factor, pivot = matrix.copy(), np.empty(len(matrix))
+    for j in range(len(matrix)):
+        pivot[j], column = factor[j, j], factor[j + 1 :, j].copy()
+        factor[j + 1 :, j] /= pivot[j]
+        factor[j + 1 :, j + 1 :] -= factor[j + 1 :, j : j + 1] * column
+    return factor, pivot
+
+
+def _solved(factor: FloatArray, pivot: FloatArray, right: FloatArray) -> FloatArray:
+    x: FloatArray = right.copy()
+    for j in range(len(x)):
+        x[j + 1 :] -= factor[j + 1 :, j] * x[j]
+    x /= pivot
+    for i in range(len(x) - 1, 0, -1):
+        x[:i] -= factor[i, :i] * x[i]
+    return x

@@ -1,4 +1,4 @@
-/* Active set of a convex quadratic program by a dual method: the function `_found_by_daqp` of `quadratic_program.py` in C.
+/* Minimizer of a convex quadratic program by a dual active-set method: `minimizer` of `quadratic_program.py` in C.
  *
  * With H = L L', x = x0 + L'^-1 u and m_i = L^-1 a_i, the program is to find the u of least norm with m_i u >= d_i. Its
  * dual is to maximize d' p - |M' p|^2 / 2 over p >= 0. Of the working set W, the method keeps the factors L D L' of
@@ -8,14 +8,18 @@
  *
  * A constraint is a number, 1 to n for the bounds of a variable and n + 1 to n + m for those of a row; it is negative
  * for the upper bound. The elements of a row other than 0 are in one range among the first `leading` columns, and in one
- * among the others. Only the set is a result; the caller computes the minimizer from it, so sums may be in any order. */
+ * among the others.
+ *
+ * The twin finds the set by DAQP, so sums may be in any order here. The minimizer is then that of the linear equations
+ * of the set, whose sums are in the order of the twin; it is equal to the last bit. */
 
 #include <math.h>
 #include <stdint.h>
+#include <stdlib.h>
 
 typedef struct {
     int64_t n, m, leading;
-    const double *root, *a, *lower, *upper; /* L (n, n); (m, n); bounds (n + m,) */
+    const double *h, *root, *a, *lower, *upper; /* H and L (n, n); (m, n); bounds (n + m,) */
     double unbounded;
     int64_t *range; /* (m, 4) */
     double *scale;  /* (n + m,), 1 over an estimate of |m_i| */
@@ -127,7 +131,7 @@ static void prepare(const Program *p, const double *g)
  * the normal is independent of W. */
 static int append(const Program *p, WorkingSet *w, int64_t number)
 {
-    int64_t i = (number > 0 ? number : -number) - 1, q = w->count, first = i;
+    int64_t i = llabs(number) - 1, q = w->count, first = i;
     double sign = number > 0 ? 1.0 : -1.0, *normal = w->normals + q * p->n, *row = w->factor + q * w->most;
     for (int64_t k = 0; k < p->n; k++)
         normal[k] = 0.0;
@@ -164,7 +168,7 @@ static int append(const Program *p, WorkingSet *w, int64_t number)
 static void keep_appended(WorkingSet *w)
 {
     int64_t number = w->number[w->count];
-    w->taken[(number > 0 ? number : -number) - 1] = 1;
+    w->taken[llabs(number) - 1] = 1;
     w->count++;
 }
 
@@ -173,7 +177,7 @@ static void remove_from(const Program *p, WorkingSet *w, int64_t r)
 {
     int64_t number = w->number[r], last = w->count - 1;
     double *column = w->work, added = w->pivot[r];
-    w->taken[(number > 0 ? number : -number) - 1] = 0;
+    w->taken[llabs(number) - 1] = 0;
     for (int64_t i = r; i < last; i++) {
         column[i] = w->factor[(i + 1) * w->most + r];
         w->number[i] = w->number[i + 1];
@@ -314,26 +318,155 @@ static void begin(const Program *p, WorkingSet *w, const int64_t *guess, int64_t
             keep_appended(w);
     w->fixed = w->count;
     for (int64_t i = 0; i < guessed; i++) {
-        int64_t k = (guess[i] > 0 ? guess[i] : -guess[i]) - 1;
+        int64_t k = llabs(guess[i]) - 1;
         double bound = (guess[i] > 0 ? p->lower : p->upper)[k];
         if (!w->taken[k] && fabs(bound) < p->unbounded && append(p, w, guess[i]))
             keep_appended(w);
     }
 }
 
-/* Writes the active constraints and returns their number; -1 if none are found in so many rounds, or there are none.
- *
- * root: (n, n), L, of which the lower triangle is read; g: (n,); a: (m, n); bounds: (2, n + m), the lower and the upper
- * ones. guess: (guessed,), constraints that are probably active. found: (n + 1,). ints: (n + 5 m,).
- * doubles: ((n + 1) (2 n + 7) + 4 n + 2 m,). */
-int64_t optdock_active_set(int64_t n, int64_t m, int64_t leading, int64_t guessed, int64_t rounds, double unbounded,
-                           double tolerance, const double *root, const double *g, const double *a,
-                           const double *bounds, const int64_t *guess, int64_t *found, int64_t *ints, double *doubles)
+/* Linear equations for the free variables and the multipliers of the rows of a set. */
+typedef struct {
+    int64_t fixed, free, size; /* numbers of the fixed and the free variables, and of the equations */
+    int64_t *member, *index;   /* (n,), variables and rows of the set in order; (n,), free variables */
+    double *bound;             /* (n,), of the set */
+    double *matrix, *factor;   /* (size, size); (size, size), L of which the lower triangle is used */
+    double *pivot, *column, *right, *solved, *left; /* (size,) */
+} Equations;
+
+/* Splits the variables, and sets the matrix and the right sides. `taken` marks the set, `found` has the signs. */
+static void set_equations(const Program *p, const WorkingSet *w, const double *g, Equations *e)
 {
-    int64_t most = n + 1;
-    Program p = {n, m, leading, root, a, bounds, bounds + n + m, unbounded, ints, doubles, doubles + n + m};
-    WorkingSet w = {.most = most, .number = found, .taken = ints + 4 * m};
-    double *x = p.x0 + n, *violation = x + n, *next = violation + n + m;
+    int64_t members = 0;
+    for (int64_t k = 0; k < p->n + p->m; k++) {
+        if (w->taken[k])
+            e->member[members++] = k;
+        else if (k < p->n)
+            e->index[e->free++] = k;
+    }
+    e->fixed = p->n - e->free;
+    e->size = e->free + members - e->fixed;
+    for (int64_t i = 0; i < w->count; i++) {
+        int64_t k = llabs(w->number[i]) - 1, at = 0;
+        while (e->member[at] != k)
+            at++;
+        e->bound[at] = (w->number[i] > 0 ? p->lower : p->upper)[k];
+    }
+    for (int64_t i = 0; i < e->size; i++) {
+        int64_t is_row = i >= e->free, at = e->fixed + i - e->free;
+        const double *row = is_row ? p->a + (e->member[at] - p->n) * p->n : p->h + e->index[i] * p->n;
+        double sum = 0.0;
+        for (int64_t c = 0; c < e->fixed; c++)
+            sum += row[e->member[c]] * e->bound[c];
+        e->right[i] = (is_row ? e->bound[at] : -g[e->index[i]]) - sum;
+        for (int64_t k = 0; k < e->free; k++) {
+            e->matrix[i * e->size + k] = row[e->index[k]];
+            if (is_row)
+                e->matrix[k * e->size + i] = row[e->index[k]];
+        }
+        for (int64_t k = e->free; is_row && k < e->size; k++)
+            e->matrix[i * e->size + k] = 0.0;
+    }
+}
+
+/* Factors L D L'. Pivoting is not needed: the first block is positive definite, and the rows are independent. */
+static void factorize(Equations *e)
+{
+    int64_t size = e->size;
+    for (int64_t i = 0; i < size; i++)
+        for (int64_t j = 0; j <= i; j++)
+            e->factor[i * size + j] = e->matrix[i * size + j];
+    for (int64_t j = 0; j < size; j++) {
+        e->pivot[j] = e->factor[j * size + j];
+        for (int64_t i = j + 1; i < size; i++)
+            e->column[i] = e->factor[i * size + j];
+        for (int64_t i = j + 1; i < size; i++) {
+            double *row = e->factor + i * size;
+            row[j] /= e->pivot[j];
+            add_scaled(row + j + 1, -row[j], e->column + j + 1, i - j);
+        }
+    }
+}
+
+static void solve_factorized(const Equations *e, double *x)
+{
+    for (int64_t i = 1; i < e->size; i++)
+        for (int64_t j = 0; j < i; j++)
+            x[i] -= e->factor[i * e->size + j] * x[j];
+    for (int64_t i = 0; i < e->size; i++)
+        x[i] /= e->pivot[i];
+    for (int64_t i = e->size - 1; i > 0; i--)
+        add_scaled(x, -x[i], e->factor + i * e->size, i);
+}
+
+/* Solves the equations, with one refinement. */
+static void solve_equations(Equations *e, double *solution)
+{
+    factorize(e);
+    for (int64_t i = 0; i < e->size; i++) {
+        e->solved[i] = e->right[i];
+        e->left[i] = 0.0;
+    }
+    solve_factorized(e, e->solved);
+    for (int64_t i = 0; i < e->size; i++)
+        add_scaled(e->left, e->solved[i], e->matrix + i * e->size, e->size);
+    for (int64_t i = 0; i < e->size; i++)
+        e->left[i] = e->right[i] - e->left[i];
+    solve_factorized(e, e->left);
+    for (int64_t i = 0; i < e->fixed; i++)
+        solution[e->member[i]] = e->bound[i];
+    for (int64_t i = 0; i < e->free; i++)
+        solution[e->index[i]] = e->solved[i] + e->left[i];
+}
+
+/* Writes the constraints that the solution attains in order, and returns their number. */
+static int64_t set_attained(const Program *p, const double *x, double tolerance, int64_t *found)
+{
+    int64_t count = 0;
+    for (int64_t i = 0; i < p->n + p->m; i++) {
+        double value = i < p->n ? x[i] : value_of(p, i - p->n, x);
+        if (value - p->lower[i] < tolerance)
+            found[count++] = i + 1;
+        else if (p->upper[i] - value < tolerance)
+            found[count++] = -(i + 1);
+    }
+    return count;
+}
+
+/* The active set is in W. Returns whether it is found in so many rounds. */
+static int find(const Program *p, WorkingSet *w, int64_t rounds, double tolerance, double *x, double *violation)
+{
+    for (int64_t done = 0; done < rounds; done++) {
+        done += reach_goal(p, w);
+        for (int64_t k = 0; k < p->n; k++)
+            x[k] = 0.0;
+        for (int64_t i = 0; i < w->count; i++)
+            add_scaled(x, w->dual[i], w->normals + i * p->n, p->n);
+        solve_transposed(p, x);
+        add_scaled(x, 1.0, p->x0, p->n);
+        int64_t worst = measure(p, w, x, violation);
+        if (!(fabs(violation[worst]) > tolerance))
+            return 1;
+        if (!add_violated(p, w, violation, worst))
+            return 0;
+    }
+    return 0;
+}
+
+/* Writes the minimizer and the constraints that it attains, and returns their number; -1 if no active set is found.
+ *
+ * h: (n, n); root: (n, n), L, of which the lower triangle is read; g: (n,); a: (m, n); bounds: (2, n + m), the lower and
+ * the upper ones. guess: (guessed,), constraints that are probably active. solution: (n,). found: (n + m,).
+ * ints: (4 n + 5 m + 1,). doubles: ((n + 1) (2 n + 7) + 15 n + 2 m + 8 n^2,). */
+int64_t optdock_minimizer(int64_t n, int64_t m, int64_t leading, int64_t guessed, int64_t rounds, double unbounded,
+                          double tolerance, double attained, const double *h, const double *root, const double *g,
+                          const double *a, const double *bounds, const int64_t *guess, double *solution,
+                          int64_t *found, int64_t *ints, double *doubles)
+{
+    int64_t most = n + 1, *members = ints + n + 5 * m;
+    Program p = {n, m, leading, h, root, a, bounds, bounds + n + m, unbounded, ints, doubles, doubles + n + m};
+    WorkingSet w = {.most = most, .number = members, .taken = ints + 4 * m};
+    double *violation = p.x0 + n, *next = violation + n + m;
     double **parts[] = {&w.pivot, &w.wanted, &w.solved, &w.dual, &w.goal, &w.work};
     for (int64_t i = 0; i < 6; i++, next += most)
         *parts[i] = next;
@@ -341,19 +474,17 @@ int64_t optdock_active_set(int64_t n, int64_t m, int64_t leading, int64_t guesse
     w.factor = next + most * n;
     prepare(&p, g);
     begin(&p, &w, guess, guessed);
-    for (int64_t done = 0; done < rounds; done++) {
-        done += reach_goal(&p, &w);
-        for (int64_t k = 0; k < n; k++)
-            x[k] = 0.0;
-        for (int64_t i = 0; i < w.count; i++)
-            add_scaled(x, w.dual[i], w.normals + i * n, n);
-        solve_transposed(&p, x);
-        add_scaled(x, 1.0, p.x0, n);
-        int64_t worst = measure(&p, &w, x, violation);
-        if (!(fabs(violation[worst]) > tolerance))
-            return w.count;
-        if (!add_violated(&p, &w, violation, worst))
-            return -1;
-    }
-    return -1;
+    if (!find(&p, &w, rounds, tolerance, solution, violation))
+        return -1;
+    next = w.factor + most * most;
+    Equations e = {.member = members + most, .index = members + most + n, .bound = next};
+    next += n;
+    double **columns[] = {&e.pivot, &e.column, &e.right, &e.solved, &e.left};
+    for (int64_t i = 0; i < 5; i++, next += 2 * n)
+        *columns[i] = next;
+    e.matrix = next;
+    e.factor = next + 4 * n * n;
+    set_equations(&p, &w, g, &e);
+    solve_equations(&e, solution);
+    return set_attained(&p, solution, attained, found);
 }

@@ -148,14 +148,16 @@ def solve_step(
         penalties: Weights of the shortfalls.
     """
     program = step_program(nlp, around, pool, trust_region, proximal, penalties)
-    solution = minimizer(program)
-    if solution is None:
+    found = minimizer(program)
+    if found is None:
         dense = program.dense()
         dense.fill(program)
         solution = dense.solve_slowly()
+    else:
+        solution = found.solution
+        pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, found.active)
     if solution is None:
         return None
-    pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, program.active_at(solution))
     change, model = solution[: nlp.basis.size], around.quadratic
     gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
     return QpStep(change, gain)
