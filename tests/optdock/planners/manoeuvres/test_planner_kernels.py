@@ -18,7 +18,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres import connections, price
-from optdock.planners.manoeuvres.arcs import Arcs, advance, are_free, first_free
+from optdock.planners.manoeuvres.arcs import Arcs, advance, are_free, first_free, may_be_free
 from optdock.planners.manoeuvres.disc_routes import Wavefront, elastic_band
 from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import FreeSpace
@@ -141,7 +141,7 @@ def test_elastic_bands_of_both_lanes_are_equal(seed):
 
 
 @pytest.mark.parametrize("count", [0, 3, 40, 300])
-def test_the_first_free_sequence_of_both_lanes_is_the_same(count):
+def test_the_first_free_sequence_and_the_rough_check_of_both_lanes_are_the_same(count):
     draw = np.random.default_rng(5)
     starts = np.column_stack((draw.uniform(-2.0, 2.0, (60, 2)), draw.uniform(-3.0, 3.0, 60)))
     lengths = draw.uniform(-0.5, 0.5, (60, 5)) * draw.choice([0.0, 1.0, 1.0], (60, 5))
@@ -153,10 +153,13 @@ def test_the_first_free_sequence_of_both_lanes_is_the_same(count):
             at += first_free(words.rows(slice(at, None)), places, 0.05, space, (0.0, 0.0))
             chosen.append(at)
             at += 1
-        return np.array(chosen), are_free(words, 0.05, space, (0.0, 0.0))
+        return np.array(chosen), may_be_free(words, places, space), are_free(words, 0.05, space, (0.0, 0.0))
 
-    (twin, free), (native, _) = both_lanes(run)
+    (twin, rough, free), (native, native_rough, _) = both_lanes(run)
     assert np.array_equal(twin, native)
+    assert np.array_equal(rough, native_rough)
+    assert rough[free].all()
+    assert rough.all() == (count == 0)
     chosen = native[native < 60]
     assert free[chosen].all()
     assert chosen.size >= free.sum() - 2  # a few are blocked only at shares of their lengths
