@@ -116,34 +116,8 @@ class DiscStates(NamedTuple):
 
 
 _TILE_KERNEL = Kernel("optdock_tile_values", sizes=3, numbers=1)
-_DISC_KERNEL = Kernel("optdock_disc_states", sizes=3, numbers=3)
 
 
-def _disc_states_native(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
-    n, count, yaw = len(poses), discs.cover.size, poses[:, 2]
-    states = np.empty(n, dtype=np.int64)
-    turned, circles = np.stack((np.cos(yaw), np.sin(yaw)), axis=-1), np.stack((*discs.centres.T, *discs[1:]))
-    poses, required = np.ascontiguousarray(poses), np.ascontiguousarray(required)
-    while True:
-        slots, values, missing = field.memory
-        arrays = (
-            (poses, 3 * n),
-            (turned, 2 * n),
-            (required, n),
-            (circles, 4 * count),
-            (slots, slots.size),
-            (values, values.size),
-            (states, n),
-            (missing, slots.size),
-        )
-        tiles = field.side // TILE
-        found = _DISC_KERNEL((n, count, tiles), (field.spacing, *field.origin.tolist()), arrays)
-        if found == 0:
-            return DiscStates((states & 1).astype(np.bool_), (states & 2).astype(np.bool_), states >= 4)
-        field.compute(missing[:found])
-
-
-@twin_of(_disc_states_native)
 def disc_states(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
     """Compare the discs of a body at poses, Shape (n, 3), with the required clearances, Shape (n,) [m]."""
     lower, upper = field.bounds(transform_points(poses, discs.centres))

@@ -1,6 +1,6 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
- * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, `_free_lengths`, `are_free`,
- * `first_free` and `may_be_free` of `arcs.py`, and `disc_states` of `distance_field.py`.
+ * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_free_lengths`, `are_free`,
+ * `first_free` and `may_be_free` of `arcs.py`.
  *
  * The signed distance of convex polygons is the largest gap over the edge normals of both and the direction between the
  * nearest vertices, as in `geometry/separation.py`. Only guesses depend on this file; the certificate has code of its
@@ -157,37 +157,12 @@ static int disc_state(const Field *field, Pose at, double required, int64_t disc
     return (lowest >= required) + 2 * (highest < required) + 4 * (lowest == -INFINITY);
 }
 
-/* Compare discs of n poses with the field (R6, docs/theory/search.md).
- *
- *   n, discs, tiles   numbers of poses, of discs and of tiles along a side
- *   spacing, x, y     see `Field`
- *   poses             (n, 3); turned: (n, 2), cosine and sine of the headings
- *   required          (n,) [m]
- *   circles           (4, discs): x, y, radius that covers, radius inside [m]
- *   slots, values     see `Field`
- *   states            out, (n,): 1 if the discs prove the clearance, 2 if they exclude it, 4 if outside the field, added
- *   missing           out, (tiles * tiles,): tiles that must be computed first
- *
- * Return the number of missing tiles; unless it is 0, the states are not valid. */
-int64_t optdock_disc_states(int64_t n, int64_t discs, int64_t tiles, double spacing, double x, double y,
-                            const double *poses, const double *turned, const double *required, const double *circles,
-                            int64_t *slots, const double *values, int64_t *states, int64_t *missing)
-{
-    Field field = {tiles, spacing, x, y, slots, values};
-    int64_t count = 0;
-    for (int64_t i = 0; i < n; i++) {
-        Pose at = {poses[3 * i], poses[3 * i + 1], turned[2 * i], turned[2 * i + 1]};
-        states[i] = disc_state(&field, at, required[i], discs, circles, missing, &count);
-    }
-    return count;
-}
-
 /* The free space. */
 typedef struct {
     Field field;
     int64_t *missing, missing_count;
     int64_t discs[2];         /* numbers of coarse and of fine discs */
-    const double *circles[2]; /* (4, discs) each, see `optdock_disc_states` */
+    const double *circles[2]; /* (4, discs) each: x, y, radius that covers, radius inside [m] */
     int64_t bodies, m, k;     /* bodies, obstacles, corners of an obstacle */
     const int64_t *body_sizes; /* (bodies, 2), corners and circles */
     const double *body_numbers; /* radius, reach, vertices, normals, offsets and centres of each */
