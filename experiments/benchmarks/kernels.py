@@ -49,7 +49,7 @@ _KERNELS = {
     "points of curves": (nurbs, "_spline_at"),
     "cheapest words": (connections, "_cheapest"),
     "prices of paths": (manoeuvre_planner, "least_prices"),
-    "tile of the field": (distance_field, "_tile_values"),
+    "tiles of the field": (distance_field, "_tile_values"),
     "crossings": (trajectory_rules, "crossings"),
     "interior point": (interior_point, "advanced"),
     "program of the time law": (reference_program, "prepared"),

@@ -17,6 +17,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres import arcs, distance_field
 from optdock.planners.manoeuvres.arcs import Arcs, are_free
+from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -170,10 +171,8 @@ def test_the_deadline_is_polled_during_long_checks():
 
 
 def test_tiles_hold_distances_up_to_their_reach():
-    obstacles, axes = rocks(1), np.column_stack((np.linspace(-2.0, 2.0, 32), np.linspace(-1.0, 3.0, 32)))
-    rows = np.arange(len(obstacles))
-    is_box = distance_field._are_boxes(obstacles)
+    field = DistanceField(rocks(1), np.array([0.0, 0.0, 7.0]), 0.05, 0.7, lambda: None)
     with using_kernels("native"):
-        values = distance_field._tile_values(obstacles, rows[is_box], rows[~is_box], axes, 0.7)
+        values = distance_field._tile_values(field, np.arange(field.tiles**2))
     assert values.max() == 0.7
     assert values.min() < 0.0
