@@ -141,7 +141,8 @@ def _cheapest_native(words: FloatArray, radius: float, robot: Robot, per_pair: i
     lengths, curvatures = np.empty((most, 5)), np.empty((most, 5))
     outputs = ((part, part.size) for part in (pair, driven, gears, lengths, curvatures))
     numbers = limits.max_speed, limits.max_reverse_speed, robot.reverse_price, radius
-    found = _WORDS_KERNEL((n, per_pair), numbers, ((words, 5 * len(TURNS) * n), (TURNS, TURNS.size), *outputs))
+    by_arcs = np.ascontiguousarray(np.moveaxis(words, 2, 0))
+    found = _WORDS_KERNEL((n, per_pair), numbers, ((by_arcs, 5 * len(TURNS) * n), (TURNS, TURNS.size), *outputs))
     begins, ends, changes = gears[:found].T
     return PairWords(pair[:found], driven[:found], begins, ends, changes, lengths[:found], curvatures[:found])
 
