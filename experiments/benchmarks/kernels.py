@@ -18,9 +18,10 @@ from experiments.families import FEASIBLE_FAMILIES, instance
 from experiments.manoeuvres.hard_cases import bays
 from optdock.deadline import set_clock
 from optdock.errors import OptdockError
+from optdock.geometry import nurbs
 from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
-from optdock.planners.manoeuvres import distance_field, free_space
+from optdock.planners.manoeuvres import connections, distance_field, manoeuvre_planner
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.timing import interior_point, reference_program, ruckig_moves
 from optdock.verification import certify_path, clearance_kernel, clearance_rounds, stretch_bounds, trajectory_rules
@@ -49,8 +50,10 @@ _KERNELS = {
     "roll-out": (initial_guess, "roll_out"),
     "sensitivity": (loop, "sensitivity"),
     "goal projection": (loop, "project_and_roll_out"),
-    "disc states": (free_space, "disc_states"),
-    "tile of the field": (distance_field, "_tile_values"),
+    "points of curves": (nurbs, "_spline_at"),
+    "cheapest words": (connections, "_cheapest"),
+    "prices of paths": (manoeuvre_planner, "least_prices"),
+    "tiles of the field": (distance_field, "_tile_values"),
     "crossings": (trajectory_rules, "crossings"),
     "interior point": (interior_point, "advanced"),
     "program of the time law": (reference_program, "prepared"),

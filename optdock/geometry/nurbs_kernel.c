@@ -3,6 +3,7 @@
  * Sums and products are evaluated in the order of the twin, so the results are equal to the last bit. Only guesses
  * depend on this file; the certificate has code of its own. */
 
+#include <math.h>
 #include <stdint.h>
 
 /* Points of a planar B-spline by repeated linear interpolation ([DeBoor1978] ch. X, algorithm 8).

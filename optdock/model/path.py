@@ -154,6 +154,11 @@ class Path(FrozenArrays):
         """Whether the path contains a turn in place."""
         return any(isinstance(segment, TurnSegment) for segment in self.segments)
 
+    @functools.cached_property
+    def gear_lengths(self) -> tuple[float, ...]:
+        """Lengths of the segments that are driven, negative in reverse, in driving order [m]."""
+        return tuple([int(one.direction) * one.length for one in self.segments if not isinstance(one, TurnSegment)])
+
     def piece(self, begin: float, end: float = math.inf) -> Path:
         """Return the part of the path from `begin` to `end` [m], clipped to the path; its `s` starts at 0.
 
@@ -190,7 +195,9 @@ class Path(FrozenArrays):
     def end(self) -> Pose2:
         """Pose at s = length."""
         last = self.segments[-1]
-        return Pose2.from_sequence(last.poses_at(last.length)[0])
+        return Pose2.from_sequence(
+            last.poses[-1] if isinstance(last, PolylineSegment) else last.poses_at(last.length)[0]
+        )
 
     @functools.cached_property
     def digest(self) -> str:

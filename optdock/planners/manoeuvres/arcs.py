@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "first_free", "joined"]
+__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "first_free", "joined", "may_be_free"]
 
 _NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
+_ROUGH_BATCH = 256  # sequences per rough check
 _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; blocked arcs are dropped after it
 
 
@@ -318,6 +319,28 @@ def first_free(arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace,
         if are_free(arcs.rows(slice(row, row + 1)), spacing, space, limits)[0]:
             return int(row)
     return len(arcs.lengths)
+
+
+_ROUGH_KERNEL = Kernel("optdock_may_be_free", sizes=4, numbers=0)
+
+
+def _may_be_free_native(arcs: Arcs, shares: FloatArray, space: FreeSpace) -> BoolArray:
+    (n, count), may = arcs.lengths.shape, np.ones(len(arcs.lengths), dtype=np.int64)
+    if len(space.obstacles):
+        columns = [(np.ascontiguousarray(column), column.size) for column in (*arcs, shares)]
+        space.check(_ROUGH_KERNEL, (n, count, shares.size), (), (*columns, (may, n)), (0.0, 0.0))
+    return may.astype(np.bool_)
+
+
+@twin_of(_may_be_free_native)
+def may_be_free(arcs: Arcs, shares: FloatArray, space: FreeSpace) -> BoolArray:
+    """Whether sequences pass a rough check at `shares` of their lengths, see `FreeSpace.may_be_free`. Shape (n,)."""
+    found = np.ones(len(arcs.lengths), dtype=np.bool_)
+    for some in (slice(k, k + _ROUGH_BATCH) for k in range(0, found.size, _ROUGH_BATCH)):
+        space.poll()
+        poses = arcs.rows(some).poses_at_shares(shares)
+        found[some] = space.may_be_free(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1)
+    return found
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:

@@ -9,7 +9,7 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import Arcs, are_free, first_free, joined
+from optdock.planners.manoeuvres.arcs import Arcs, are_free, first_free, joined, may_be_free
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 
@@ -36,7 +36,6 @@ __all__ = [
 _PAIRS = 128  # pairs of poses per call of the closed forms, about a millisecond
 _COARSE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which the coarse check samples it
 _CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
-_ROUGH_BATCH = 64  # words per call of the rough check
 _BATCH = 24  # words per call of the coarse check
 _NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
 
@@ -142,7 +141,8 @@ def _cheapest_native(words: FloatArray, radius: float, robot: Robot, per_pair: i
     lengths, curvatures = np.empty((most, 5)), np.empty((most, 5))
     outputs = ((part, part.size) for part in (pair, driven, gears, lengths, curvatures))
     numbers = limits.max_speed, limits.max_reverse_speed, robot.reverse_price, radius
-    found = _WORDS_KERNEL((n, per_pair), numbers, ((words, 5 * len(TURNS) * n), (TURNS, TURNS.size), *outputs))
+    by_arcs = np.ascontiguousarray(np.moveaxis(words, 2, 0))
+    found = _WORDS_KERNEL((n, per_pair), numbers, ((by_arcs, 5 * len(TURNS) * n), (TURNS, TURNS.size), *outputs))
     begins, ends, changes = gears[:found].T
     return PairWords(pair[:found], driven[:found], begins, ends, changes, lengths[:found], curvatures[:found])
 
@@ -164,14 +164,8 @@ def _cheapest(words: FloatArray, radius: float, robot: Robot, per_pair: int) -> 
 
 def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:
     """Return the connections whose words pass a rough collision check at a few poses."""
-    kept = []
-    for k in range(0, found.prices.size, _ROUGH_BATCH):
-        space.poll()
-        some = slice(k, k + _ROUGH_BATCH)
-        words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
-        poses = words.poses_at_shares(_COARSE)
-        kept.append(space.may_be_free(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
-    return found.rows(np.flatnonzero(np.concatenate(kept))) if kept else found
+    words = Arcs(exits.poses[found.exits], found.lengths, found.curvatures)
+    return found.rows(may_be_free(words, _COARSE, space).nonzero()[0])
 
 
 def free_manoeuvres(

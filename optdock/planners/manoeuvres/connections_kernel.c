@@ -36,7 +36,7 @@ static void set_gears(const double *lengths, double *gears)
  *   n, most                              numbers of pairs, and of words per pair, most < FORMS
  *   speed, reverse_speed, reverse_price  [m/s, m/s, s/m]
  *   radius                               [m]
- *   words                                (FORMS, n, ARCS), signed lengths, NaN without a solution [m]
+ *   words                                (ARCS, FORMS, n), signed lengths, NaN without a solution [m]
  *   turns                                (FORMS, ARCS), 1 left, -1 right, 0 straight on
  *   pairs                                out, (n most,), index of the pair of each word
  *   driven                               out, (n most,), prices [s]
@@ -53,10 +53,9 @@ int64_t optdock_cheapest_words(int64_t n, int64_t most, double speed, double rev
     for (int64_t i = 0; i < n; i++) {
         int64_t count = 0;
         for (int64_t form = 0; form < FORMS; form++) {
-            const double *word = words + ARCS * (n * form + i);
             double price = 0.0;
             for (int64_t k = 0; k < ARCS; k++)
-                price += driving_price(word[k], speed, reverse_speed, reverse_price);
+                price += driving_price(words[n * (FORMS * k + form) + i], speed, reverse_speed, reverse_price);
             if (!(price < INFINITY) || (count == most && !(price < prices[count - 1])))
                 continue;
             int64_t at = count < most ? count++ : count - 1; /* the place of the last one if there are enough */
@@ -71,7 +70,7 @@ int64_t optdock_cheapest_words(int64_t n, int64_t most, double speed, double rev
             pairs[found] = i;
             driven[found] = prices[rank];
             for (int64_t k = 0; k < ARCS; k++) {
-                lengths[ARCS * found + k] = words[ARCS * (n * forms[rank] + i) + k];
+                lengths[ARCS * found + k] = words[n * (FORMS * k + forms[rank]) + i];
                 curvatures[ARCS * found + k] = turns[ARCS * forms[rank] + k] / radius;
             }
             set_gears(lengths + ARCS * found, gears + 3 * found);

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["TILE", "DiscStates", "Discs", "DistanceField", "disc_states"]
 
 TILE = 32  # grid points along the side of a tile
+_TILES_AT_ONCE = 4  # tiles between two polls; most take less than a tenth of a millisecond
 _BLOCK = 24  # obstacle pieces per vectorized evaluation of a tile
 
 
@@ -25,8 +26,9 @@ class DistanceField:
     """Distances up to `reach` [m] from points of a square to the nearest obstacle.
 
     `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: spacing of the grid [m]. `poll`: called before
-    every tile is computed. Attributes `tiles`, `side`: numbers of tiles and grid points along each side; attribute
-    `origin`: the first grid point, Shape (2,) [m].
+    every few tiles are computed. Attributes `tiles`, `side`: numbers of tiles and grid points along each side;
+    attribute `origin`: the first grid point, Shape (2,) [m]; attribute `is_box`: 1 for every piece that is an
+    axis-aligned rectangle, otherwise 0, Shape (m,).
     """
 
     def __init__(
@@ -36,8 +38,7 @@ class DistanceField:
         self.poll, self.side = poll, TILE * self.tiles
         self.spacing, self.reach = spacing, reach
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
-        self._obstacles = obstacles
-        self._is_box = _are_boxes(obstacles)
+        self.obstacles, self.is_box = obstacles, _are_boxes(obstacles).astype(np.int64)
         self._slots = np.full(self.tiles**2, -1)  # index of the values of a tile; -1: not computed yet
         self._missing = np.empty_like(self._slots)
         self._values = np.empty((16, TILE, TILE))
@@ -60,8 +61,7 @@ class DistanceField:
         slot = self._slots[tile]
         missing = slot < 0
         if missing.any():
-            for one in np.unique(tile[missing]).tolist():
-                self._fill(one)
+            self.compute(np.unique(tile[missing]))
             slot = self._slots[tile]
         values: FloatArray = self._values[slot, i % TILE, j % TILE]
         return values
@@ -72,24 +72,18 @@ class DistanceField:
         return self._slots, self._values, self._missing
 
     def compute(self, tiles: IntArray) -> None:
-        """Compute the values of tiles that the kernel has marked as missing."""
+        """Compute the values of tiles without any, Shape (n,), also of those that a kernel has marked as missing."""
         self._slots[tiles] = -1
-        for tile in np.sort(tiles).tolist():
-            self._fill(tile)
-
-    def _fill(self, tile: int) -> None:
-        first = np.array(divmod(tile, self.tiles)) * TILE
-        axes = self.origin + (first + np.arange(TILE)[:, None]) * self.spacing
-        self.poll()
-        low, high = axes[0] - self.reach, axes[-1] + self.reach
-        rows = self._obstacles.rows_in_box(low, high)
-        boxes, others = rows[self._is_box[rows]], rows[~self._is_box[rows]]
-        best = _tile_values(self._obstacles, boxes, others, axes, self.reach)
-        if self._count == len(self._values):
-            self._values = np.concatenate((self._values, np.empty_like(self._values)))
-        self._values[self._count] = best
-        self._slots[tile] = self._count
-        self._count += 1
+        ascending = np.sort(tiles)
+        for k in range(0, tiles.size, _TILES_AT_ONCE):
+            self.poll()
+            some = ascending[k : k + _TILES_AT_ONCE]
+            values, first, last = _tile_values(self, some), self._count, self._count + some.size
+            if last > len(self._values):
+                self._values = np.concatenate((self._values, np.empty_like(self._values)))
+            self._values[first:last] = values
+            self._slots[some] = np.arange(first, last)
+            self._count = last
 
 
 class Discs(NamedTuple):
@@ -115,35 +109,6 @@ class DiscStates(NamedTuple):
     outside: BoolArray
 
 
-_TILE_KERNEL = Kernel("optdock_tile_values", sizes=3, numbers=1)
-_DISC_KERNEL = Kernel("optdock_disc_states", sizes=3, numbers=3)
-
-
-def _disc_states_native(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
-    n, count, yaw = len(poses), discs.cover.size, poses[:, 2]
-    states = np.empty(n, dtype=np.int64)
-    turned, circles = np.stack((np.cos(yaw), np.sin(yaw)), axis=-1), np.stack((*discs.centres.T, *discs[1:]))
-    poses, required = np.ascontiguousarray(poses), np.ascontiguousarray(required)
-    while True:
-        slots, values, missing = field.memory
-        arrays = (
-            (poses, 3 * n),
-            (turned, 2 * n),
-            (required, n),
-            (circles, 4 * count),
-            (slots, slots.size),
-            (values, values.size),
-            (states, n),
-            (missing, slots.size),
-        )
-        tiles = field.side // TILE
-        found = _DISC_KERNEL((n, count, tiles), (field.spacing, *field.origin.tolist()), arrays)
-        if found == 0:
-            return DiscStates((states & 1).astype(np.bool_), (states & 2).astype(np.bool_), states >= 4)
-        field.compute(missing[:found])
-
-
-@twin_of(_disc_states_native)
 def disc_states(field: DistanceField, discs: Discs, poses: FloatArray, required: FloatArray) -> DiscStates:
     """Compare the discs of a body at poses, Shape (n, 3), with the required clearances, Shape (n,) [m]."""
     lower, upper = field.bounds(transform_points(poses, discs.centres))
@@ -153,34 +118,32 @@ def disc_states(field: DistanceField, discs: Discs, poses: FloatArray, required:
     return DiscStates(covered, blocked, outside)
 
 
-def _tile_values_native(
-    obstacles: ObstacleSet, boxes: IntArray, others: IntArray, axes: FloatArray, reach: float
-) -> FloatArray:
-    k, b, p = obstacles.vertices.shape[1], boxes.size, others.size
-    values = np.empty((TILE, TILE))
-    arrays = (
-        (axes, 2 * TILE),
-        (obstacles.lower[boxes], 2 * b),
-        (obstacles.upper[boxes], 2 * b),
-        (obstacles.vertices[others], 2 * p * k),
-        (obstacles.normals[others], 2 * p * k),
-        (obstacles.offsets[others], p * k),
-        (values, values.size),
-    )
-    _TILE_KERNEL((b, p, k), (reach,), arrays)
+_TILES_KERNEL = Kernel("optdock_tile_values", sizes=4, numbers=2)
+
+
+def _tile_values_native(field: DistanceField, tiles: IntArray) -> FloatArray:
+    rocks, n = field.obstacles, tiles.size
+    (m, k, _), values = rocks.vertices.shape, np.empty((n, TILE, TILE))
+    outlines = rocks.lower, rocks.upper, rocks.vertices, rocks.normals, rocks.offsets
+    arrays = tiles, field.origin, field.is_box, *outlines, values
+    numbers = field.spacing, field.reach
+    _TILES_KERNEL((n, field.tiles, m, k), numbers, tuple((array, array.size) for array in arrays))
     return values
 
 
 @twin_of(_tile_values_native)
-def _tile_values(
-    obstacles: ObstacleSet, boxes: IntArray, others: IntArray, axes: FloatArray, reach: float
-) -> FloatArray:
-    """Return the distances from the grid points of a tile, up to `reach` [m]; `axes`: Shape (32, 2), their x and y."""
-    best = np.full((TILE, TILE), reach)
-    for some, distances in ((boxes, _to_boxes), (others, _to_polygons)):
-        for k in range(0, some.size, _BLOCK):
-            np.minimum(best, distances(obstacles, some[k : k + _BLOCK], axes), out=best)
-    return best
+def _tile_values(field: DistanceField, tiles: IntArray) -> FloatArray:
+    """Return the distances from the grid points of tiles, Shape (n,) to (n, 32, 32) [m]."""
+    values = np.full((tiles.size, TILE, TILE), field.reach)
+    for tile, best in zip(tiles.tolist(), values, strict=True):
+        first = np.array(divmod(tile, field.tiles)) * TILE
+        axes = field.origin + (first + np.arange(TILE)[:, None]) * field.spacing
+        rows = field.obstacles.rows_in_box(axes[0] - field.reach, axes[-1] + field.reach)
+        boxes = rows[field.is_box[rows] != 0]
+        for some, distances in ((boxes, _to_boxes), (rows[field.is_box[rows] == 0], _to_polygons)):
+            for k in range(0, some.size, _BLOCK):
+                np.minimum(best, distances(field.obstacles, some[k : k + _BLOCK], axes), out=best)
+    return values
 
 
 def _are_boxes(obstacles: ObstacleSet) -> BoolArray:

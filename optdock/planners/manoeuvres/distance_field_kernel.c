@@ -46,26 +46,39 @@ static double to_polygon(double x, double y, int64_t k, const double *vertices, 
     return smaller(nearest, height < 0.0 ? -sqrt(squared) : sqrt(squared));
 }
 
-/* Compute the values of a tile.
+/* Compute the values of tiles.
  *
- *   boxes, polygons, k   numbers of obstacles of either kind, and of the corners of the polygons
- *   reach                largest value [m]
- *   axes                 (TILE, 2), x and y of the grid points
- *   low, high            (boxes, 2)
- *   vertices, normals    (polygons, k, 2); offsets: (polygons, k)
- *   values               out, (TILE, TILE) [m] */
-int64_t optdock_tile_values(int64_t boxes, int64_t polygons, int64_t k, double reach, const double *axes,
-                            const double *low, const double *high, const double *vertices, const double *normals,
-                            const double *offsets, double *values)
+ *   n, tiles, m, k       numbers of tiles to compute, of tiles along a side, of obstacles and of their corners
+ *   spacing, reach       of the grid, largest value [m]
+ *   which                (n,), numbers of the tiles
+ *   origin               (2,), the first grid point [m]
+ *   is_box               (m,), 1 for axis-aligned rectangles, otherwise 0
+ *   low, high            (m, 2); vertices, normals: (m, k, 2); offsets: (m, k)
+ *   values               out, (n, TILE, TILE) [m] */
+int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, double spacing, double reach,
+                            const int64_t *which, const double *origin, const int64_t *is_box, const double *low,
+                            const double *high, const double *vertices, const double *normals, const double *offsets,
+                            double *values)
 {
-    for (int64_t i = 0; i < TILE; i++) {
-        for (int64_t j = 0; j < TILE; j++) {
-            double x = axes[2 * i], y = axes[2 * j + 1], nearest = reach;
-            for (int64_t o = 0; o < boxes; o++)
-                nearest = to_box(x, y, low + 2 * o, high + 2 * o, nearest);
-            for (int64_t o = 0; o < polygons; o++)
-                nearest = to_polygon(x, y, k, vertices + 2 * k * o, normals + 2 * k * o, offsets + k * o, nearest);
-            values[TILE * i + j] = nearest;
+    for (int64_t t = 0; t < n; t++, values += TILE * TILE) {
+        double axes[2][TILE];
+        for (int64_t i = 0; i < TILE; i++) {
+            axes[0][i] = origin[0] + (double)(which[t] / tiles * TILE + i) * spacing;
+            axes[1][i] = origin[1] + (double)(which[t] % tiles * TILE + i) * spacing;
+        }
+        for (int64_t i = 0; i < TILE * TILE; i++)
+            values[i] = reach;
+        for (int64_t o = 0; o < m; o++) {
+            const double *lower = low + 2 * o, *upper = high + 2 * o;
+            if (!(lower[0] <= axes[0][TILE - 1] + reach && upper[0] >= axes[0][0] - reach &&
+                  lower[1] <= axes[1][TILE - 1] + reach && upper[1] >= axes[1][0] - reach))
+                continue;
+            for (int64_t i = 0; i < TILE * TILE; i++) {
+                double x = axes[0][i / TILE], y = axes[1][i % TILE];
+                values[i] = is_box[o] ? to_box(x, y, lower, upper, values[i])
+                                      : to_polygon(x, y, k, vertices + 2 * k * o, normals + 2 * k * o, offsets + k * o,
+                                                   values[i]);
+            }
         }
     }
     return 0;

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.planners.manoeuvres.disc_routes import Wavefront
@@ -57,10 +58,11 @@ class Effort(NamedTuple):
     start_relief: float = 0.0
 
 
-def _discs(bodies: tuple[ConvexBody, ...], across: int) -> Discs:
-    """Return the discs of all bodies."""
-    parts = zip(*(_discs_of(body, across) for body in bodies), strict=True)
-    return Discs(*(np.concatenate(part) for part in parts))
+@functools.lru_cache(maxsize=64)
+def _discs(footprint: Footprint, across: int) -> Discs:
+    """Return the discs of all bodies, cached."""
+    parts = zip(*(_discs_of(body, across) for body in footprint.bodies), strict=True)
+    return Discs(*(readonly(np.concatenate(part)) for part in parts))
 
 
 def _discs_of(body: ConvexBody, across: int) -> Discs:
@@ -99,7 +101,7 @@ class FreeSpace:
         self._kernel_arrays: dict[tuple[float, float], KernelArrays] = {}
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
-        self.levels = [_discs(self.footprint.bodies, across) for across in (1, _FINE_DISCS)]
+        self.levels = [_discs(self.footprint, across) for across in (1, _FINE_DISCS)]
 
     def spacing(self, effort: Effort) -> float:
         """Return the spacing [m] between the poses of a collision check."""

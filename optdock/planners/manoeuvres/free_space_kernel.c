@@ -1,6 +1,6 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
- * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, `_free_lengths`, `are_free`
- * and `first_free` of `arcs.py`, and `disc_states` of `distance_field.py`.
+ * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_free_lengths`, `are_free`,
+ * `first_free` and `may_be_free` of `arcs.py`.
  *
  * The signed distance of convex polygons is the largest gap over the edge normals of both and the direction between the
  * nearest vertices, as in `geometry/separation.py`. Only guesses depend on this file; the certificate has code of its
@@ -157,37 +157,12 @@ static int disc_state(const Field *field, Pose at, double required, int64_t disc
     return (lowest >= required) + 2 * (highest < required) + 4 * (lowest == -INFINITY);
 }
 
-/* Compare discs of n poses with the field (R6, docs/theory/search.md).
- *
- *   n, discs, tiles   numbers of poses, of discs and of tiles along a side
- *   spacing, x, y     see `Field`
- *   poses             (n, 3); turned: (n, 2), cosine and sine of the headings
- *   required          (n,) [m]
- *   circles           (4, discs): x, y, radius that covers, radius inside [m]
- *   slots, values     see `Field`
- *   states            out, (n,): 1 if the discs prove the clearance, 2 if they exclude it, 4 if outside the field, added
- *   missing           out, (tiles * tiles,): tiles that must be computed first
- *
- * Return the number of missing tiles; unless it is 0, the states are not valid. */
-int64_t optdock_disc_states(int64_t n, int64_t discs, int64_t tiles, double spacing, double x, double y,
-                            const double *poses, const double *turned, const double *required, const double *circles,
-                            int64_t *slots, const double *values, int64_t *states, int64_t *missing)
-{
-    Field field = {tiles, spacing, x, y, slots, values};
-    int64_t count = 0;
-    for (int64_t i = 0; i < n; i++) {
-        Pose at = {poses[3 * i], poses[3 * i + 1], turned[2 * i], turned[2 * i + 1]};
-        states[i] = disc_state(&field, at, required[i], discs, circles, missing, &count);
-    }
-    return count;
-}
-
 /* The free space. */
 typedef struct {
     Field field;
     int64_t *missing, missing_count;
     int64_t discs[2];         /* numbers of coarse and of fine discs */
-    const double *circles[2]; /* (4, discs) each, see `optdock_disc_states` */
+    const double *circles[2]; /* (4, discs) each: x, y, radius that covers, radius inside [m] */
     int64_t bodies, m, k;     /* bodies, obstacles, corners of an obstacle */
     const int64_t *body_sizes; /* (bodies, 2), corners and circles */
     const double *body_numbers; /* radius, reach, vertices, normals, offsets and centres of each */
@@ -314,6 +289,16 @@ static int is_free(Space *space, double x, double y, double yaw)
     return is_clear(space, at, required);
 }
 
+/* Whether no coarse disc inside the footprint overlaps an obstacle: 1 or 0, or -1 if tiles are missing. */
+static int may_be_free(Space *space, double x, double y, double yaw)
+{
+    Pose at = {x, y, cos(yaw), sin(yaw)};
+    int64_t before = space->missing_count;
+    int state = disc_state(&space->field, at, 0.0, space->discs[0], space->circles[0], space->missing,
+                           &space->missing_count);
+    return space->missing_count > before ? -1 : !(state & 2);
+}
+
 /* The pose at the end of an arc, as `advance` of `arcs.py`. */
 static void advance(const double *from, double length, double curvature, double *to)
 {
@@ -333,6 +318,8 @@ static int64_t stopped(const Space *space, int64_t done, int64_t *progress)
     progress[1] = space->missing_count;
     return 0;
 }
+
+typedef int Check(Space *, double, double, double); /* `is_free` or `may_be_free` */
 
 static int is_free_after(Space *space, const double *from, double length, double curvature)
 {
@@ -426,11 +413,11 @@ static int is_free_along(Space *space, const double *start, int64_t count, const
     return found == 1 ? is_free(space, joint[0], joint[1], joint[2]) : found;
 }
 
-/* Whether a sequence of arcs is free at shares of its length, ascending; results and `checked` as `is_free_along`. */
-static int is_free_at_shares(Space *space, const double *start, int64_t count, const double *lengths,
-                             const double *curvatures, int64_t places, const double *shares, int64_t *checked)
+/* Whether a sequence of arcs passes a check at shares of its length, ascending; otherwise as `is_free_along`. */
+static int passes_at_shares(Space *space, Check *check, const double *start, int64_t count, const double *lengths,
+                            const double *curvatures, int64_t places, const double *shares, int64_t *checked)
 {
-    double joint[3] = {start[0], start[1], start[2]}, whole = 0.0, before = 0.0;
+    double pose[3], joint[3] = {start[0], start[1], start[2]}, whole = 0.0, before = 0.0;
     int found = 1;
     int64_t j = 0;
     for (int64_t k = 0; k < count; k++)
@@ -441,7 +428,8 @@ static int is_free_at_shares(Space *space, const double *start, int64_t count, c
             before += fabs(lengths[j]);
             advance(joint, lengths[j], curvatures[j], joint);
         }
-        found = is_free_after(space, joint, copysign(s - before, lengths[j]), curvatures[j]);
+        advance(joint, copysign(s - before, lengths[j]), curvatures[j], pose);
+        found = check(space, pose[0], pose[1], pose[2]);
     }
     return found;
 }
@@ -495,7 +483,7 @@ int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t mos
     for (i = progress[0]; i < n && checked < most; i++) {
         const double *start = starts + 3 * i, *along = lengths + count * i, *bends = curvatures + count * i;
         set_box_around(&space, start, count, along);
-        int found = is_free_at_shares(&space, start, count, along, bends, places, shares, &checked);
+        int found = passes_at_shares(&space, is_free, start, count, along, bends, places, shares, &checked);
         if (found == 1)
             found = is_free_along(&space, start, count, along, bends, spacing, &checked);
         if (found < 0)
@@ -504,6 +492,28 @@ int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t mos
             first[0] = i;
             i = n - 1;
         }
+    }
+    return stopped(&space, i, progress);
+}
+
+/* Whether no coarse disc inside the footprint overlaps an obstacle at shares of the length of sequences of arcs, those
+ * from `done` on.
+ *
+ *   n, count, places, most  as for `optdock_first_free`; starts to shares too
+ *   may                     out, (n,), 1 or 0
+ *   progress                in and out, (2,): sequences done, missing tiles */
+int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t most, const double *starts,
+                            const double *lengths, const double *curvatures, const double *shares, int64_t *may,
+                            int64_t *progress, SPACE_PARAMETERS)
+{
+    Space space = SPACE;
+    int64_t i, checked = 0;
+    for (i = progress[0]; i < n && checked < most; i++) {
+        int found = passes_at_shares(&space, may_be_free, starts + 3 * i, count, lengths + count * i,
+                                     curvatures + count * i, places, shares, &checked);
+        if (found < 0)
+            break;
+        may[i] = found;
     }
     return stopped(&space, i, progress);
 }

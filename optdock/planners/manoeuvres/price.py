@@ -8,7 +8,7 @@ import numpy as np
 
 from optdock.kernels import Kernel, twin_of
 from optdock.model.dock import DockDirection
-from optdock.model.segments import Direction, TurnSegment
+from optdock.model.segments import TurnSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -45,7 +45,7 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
         duration: Duration of the motion along the path [s].
         robot: Robot with the `reverse_price`.
     """
-    reversing = sum(robot.reverse_price * one.length for one in path.segments if one.direction is Direction.REVERSE)
+    reversing = sum([-robot.reverse_price * length for length in path.gear_lengths if length < 0.0])
     return duration + CUSP_PRICE * stops(path) + reversing
 
 
@@ -54,10 +54,11 @@ def least_price(path: Path, problem: DockingProblem) -> float:
 
     Curvature and clearance can only raise the price. A smoother may still find a shorter path nearby.
     """
-    gears = np.array([[one.direction * one.length for one in path.segments]])
-    turns = np.array([abs(one.turn) for one in path.segments if isinstance(one, TurnSegment)])
-    turned = float(turning_times(turns, problem.robot.limits.turning).sum()) if turns.size else 0.0
-    return price_of(path, turned + float(_durations(gears, problem)[0]), problem.robot)
+    turned = 0.0
+    if path.turns:
+        turns = np.array([abs(one.turn) for one in path.segments if isinstance(one, TurnSegment)])
+        turned = float(turning_times(turns, problem.robot.limits.turning).sum())
+    return price_of(path, turned + float(_durations(np.array([path.gear_lengths]), problem)[0]), problem.robot)
 
 
 _PRICES_KERNEL = Kernel("optdock_least_prices", sizes=2, numbers=0)
@@ -147,8 +148,7 @@ def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
 
 def stops(path: Path) -> int:
     """Return the number of intermediate stops for changing gear, turning in place, or both at once."""
-    driven = sum(not isinstance(segment, TurnSegment) for segment in path.segments)
-    return max(driven - 1, 0)
+    return max(len(path.gear_lengths) - 1, 0)
 
 
 def _reversing(lengths: FloatArray, robot: Robot) -> FloatArray:

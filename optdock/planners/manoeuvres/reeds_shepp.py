@@ -49,19 +49,20 @@ def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> F
         Shape (44, n, 5) [m]; NaN if a form has no solution.
     """
     same, other = _centres(starts, goals, radius)
-    found, valid = np.zeros((len(_TURNS), 4, len(starts), 5)), np.empty((len(_TURNS), 4, len(starts)), dtype=np.bool_)
-    row = 0
+    n, row = len(starts), 0
+    # With the arcs along the first axis, all operations run over contiguous memory.
+    found, valid = np.zeros((5, len(_TURNS), 4, n)), np.empty((len(_TURNS), 4, n), dtype=np.bool_)
     for form in _FORMS:
         rows = slice(row, row + len(form.turns))
         valid[rows], *parts = form.solve(same if form.is_same else other)
         for k, part in enumerate(parts):
-            found[rows, ..., k] = part
+            found[k, rows] = part
         if form.is_backward:  # the solution back from the goal begins with the last arc
-            found[row + 1, ..., : len(parts)] = found[row + 1, ..., len(parts) - 1 :: -1].copy()
+            found[: len(parts), row + 1] = found[len(parts) - 1 :: -1, row + 1].copy()
         row = rows.stop
-    found *= _MIRROR_X[:, :, None] * radius
-    found[~valid] = np.nan
-    return found.reshape(4 * len(_TURNS), len(starts), 5)
+    found *= _MIRROR_X * radius
+    np.copyto(found, np.nan, where=~valid)
+    return np.moveaxis(found.reshape(5, 4 * len(_TURNS), n), 0, 2)
 
 
 class _Centres(NamedTuple):

@@ -17,7 +17,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres import arcs, distance_field
 from optdock.planners.manoeuvres.arcs import Arcs, are_free
-from optdock.planners.manoeuvres.distance_field import Discs, DistanceField, disc_states
+from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -38,52 +38,6 @@ def rocks(seed):
 def poses_around(seed, count=400):
     draw = np.random.default_rng(seed)
     return np.column_stack((draw.uniform(-4.0, 4.0, (count, 2)), draw.uniform(-np.pi, np.pi, count)))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_states_and_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
-    draw = np.random.default_rng(seed)
-    discs = Discs(draw.uniform(-0.5, 0.5, (9, 2)), draw.uniform(0.1, 0.3, 9), draw.uniform(-0.1, 0.3, 9))
-    poses, required = poses_around(seed), draw.uniform(0.0, 0.2, 400)
-    found, polls = [], []
-    for lane in LANES:
-        polled = []
-        field = DistanceField(
-            rocks(seed), np.array([0.1, -0.2, 7.0]), 0.02, 1.5, lambda polled=polled: polled.append(1)
-        )
-        with using_kernels(lane):
-            found.append((*disc_states(field, discs, poses, required), field._values[: field._count], field._slots))
-        polls.append(len(polled))
-    assert all(0.01 < mask.mean() < 0.99 for mask in found[0][:3])
-    assert polls[0] == polls[1] > 20
-    for a, b in zip(*found, strict=True):
-        assert a.dtype == b.dtype
-        assert a.tobytes() == b.tobytes()
-
-
-def test_a_poll_that_raises_leaves_the_missing_tiles_missing():
-    class Stopped(Exception):
-        pass
-
-    def stop():
-        if len(polled) == 3:
-            raise Stopped
-        polled.append(1)
-
-    polled = []
-    field = DistanceField(rocks(1), np.array([0.0, 0.0, 7.0]), 0.02, 1.5, stop)
-    discs = Discs(np.zeros((1, 2)), np.ones(1), np.ones(1))
-    with using_kernels("native"):
-        disc_states(field, discs, np.zeros((1, 3)), np.zeros(1))  # the first call of a process also runs the twin
-        with pytest.raises(Stopped):
-            disc_states(field, discs, poses_around(1), np.zeros(400))
-        assert set(np.unique(field._slots)) == {-1, 0, 1, 2}
-        polled.clear()
-        polled += [1] * 4
-        states = disc_states(field, discs, poses_around(1), np.zeros(400))
-    with using_kernels("twin"):
-        again = disc_states(field, discs, poses_around(1), np.zeros(400))
-    assert np.array_equal(states.blocked, again.blocked)
 
 
 ANGLES = 2.0 * np.pi * np.arange(40) / 40 + 0.1
@@ -109,6 +63,47 @@ def both_lanes(run):
         with using_kernels(lane):
             found.append(run())
     return found
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
+    found, free = [], []
+    for lane in LANES:
+        space = space_among(rocks(seed), "convex")
+        with using_kernels(lane):
+            free.append(space.is_free(poses_around(seed)))
+        slots = space.field._slots
+        found.append((slots >= 0, space.field._values[slots[slots >= 0]]))
+    assert 0.01 < free[0].mean() < 0.99
+    assert np.count_nonzero(found[0][0]) > 20
+    for a, b in zip(*found, strict=True):
+        assert a.dtype == b.dtype
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_poll_that_raises_leaves_the_missing_tiles_missing():
+    class Stopped(Exception):
+        pass
+
+    def stop():
+        if len(polled) == 6:
+            raise Stopped
+        polled.append(1)
+
+    polled = []
+    space = space_among(rocks(1), "convex", poll=stop)
+    with using_kernels("native"):
+        space.is_free(np.zeros((1, 3)))  # the first call of a process also runs the twin
+        with pytest.raises(Stopped):
+            space.is_free(poses_around(1))
+        slots = np.unique(space.field._slots)
+        assert slots[0] == -1
+        assert np.array_equal(slots[1:], np.arange(slots.size - 1))
+        polled.clear()
+        polled += [1] * 7
+        free = space.is_free(poses_around(1))
+    with using_kernels("twin"):
+        assert np.array_equal(free, space.is_free(poses_around(1)))
 
 
 def words_from(seed, count=30):
@@ -176,10 +171,8 @@ def test_the_deadline_is_polled_during_long_checks():
 
 
 def test_tiles_hold_distances_up_to_their_reach():
-    obstacles, axes = rocks(1), np.column_stack((np.linspace(-2.0, 2.0, 32), np.linspace(-1.0, 3.0, 32)))
-    rows = np.arange(len(obstacles))
-    is_box = distance_field._are_boxes(obstacles)
+    field = DistanceField(rocks(1), np.array([0.0, 0.0, 7.0]), 0.05, 0.7, lambda: None)
     with using_kernels("native"):
-        values = distance_field._tile_values(obstacles, rows[is_box], rows[~is_box], axes, 0.7)
+        values = distance_field._tile_values(field, np.arange(field.tiles**2))
     assert values.max() == 0.7
     assert values.min() < 0.0
