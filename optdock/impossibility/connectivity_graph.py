@@ -40,6 +40,7 @@ __all__ = [
     "by_certainty",
     "by_margin",
     "connected_cells",
+    "predecessors",
 ]
 
 OPEN = 1e-6  # cost of an open node, or one outside: of two open routes the shorter one is taken

@@ -226,7 +226,7 @@ def test_discs_of_a_footprint_are_made_under_the_clock_and_once():
     asked = gap(0.5, body=ellipse(64, 0.5, 0.3))
     assert looks(asked, 50) == 51, "interrupted while they are made"
     first = looks(asked)
-    assert looks(asked) < first - 200
+    assert looks(asked) < first - 100
 
 
 def test_warm_up_computes_the_discs():
