@@ -41,7 +41,7 @@ class _Span:
     def __init__(self, lo: float, hi: float | None = None) -> None:
         self.lo, self.hi = lo, lo if hi is None else hi
         if not (type(lo) is type(self.hi) is float and -math.inf < lo <= self.hi < math.inf):  # also true for NaN
-            raise Refusal("arithmetic: a number overflows or is no number")
+            raise Refusal(f"arithmetic: a number overflows or is no number: {type(lo).__name__}")
 
     def __add__(self, other: _Span | float) -> _Span:
         o = other if isinstance(other, _Span) else _Span(other)
@@ -109,7 +109,7 @@ class _Pose(NamedTuple):
 
 
 class _Segment:
-    """Clothoids driven in one gear, or a turn in place, whose coordinate is its angle and whose gear is 0."""
+    """Clothoids driven in one gear, or a turn in place, whose coordinate is its angle and whose gear is 0 (G3)."""
 
     def __init__(self, curve: dict[str, Any], name: str) -> None:
         _hold("poses" not in curve and ("turn" in curve) != ("knots" in curve), f"{name}: no clothoids and no turn")
@@ -168,7 +168,7 @@ class _Clearance:
         least = min(*numbers, self.at_start or 0.0, e, w)
         _hold(least >= 0.0 and most >= max(self.at_dock, self.at_start or 0.0) and w <= math.pi, "clearance: bad rule")
         radius, length = max(_length(_Span(px), _Span(py)) for px, py in outline), [px for px, _ in outline]
-        self.most: float = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most
+        self.most: float = (_Span(0.5 * w).turned(2.0 * radius, 0.0)[1] + e + most).hi if e or w else most  # (C17)
         bodies = [[((p + x).lo, (q + y).lo) for p, q in (_Span(yaw).turned(*at) for at in one)] for one in shapes]
         # The clearance of the start is at most the length of some line to an obstacle, up to rounding.
         gaps = [min(_gap(body, rock), _gap(rock, body)) for body in bodies for rock in rocks]
@@ -176,7 +176,7 @@ class _Clearance:
         eased = self.relief <= 2.0 * (max(length) - min(length)) * _WIDE and self.kept < self.most
         _hold(self.relief == 0.0 or eased, "clearance: start_relief is not allowed (C22)")
 
-    def _tapered(self, distance: float, least: float) -> float:
+    def _tapered(self, distance: float, least: float) -> float:  # an upper bound of D in (C2)
         beyond = (_Span(distance) - self.run).hi - 1e-9  # a rounded distance; with a taper of 0 the rule jumps
         if not 0.0 < beyond < self.taper:
             return least if beyond <= 0.0 else self.most
@@ -185,7 +185,7 @@ class _Clearance:
     def needed(self, first: _Pose, last: _Pose, sag: _Span) -> float:
         """Return an upper bound of the requirement in a cell, from its largest distances from dock and start (C7)."""
         dock, start = ((sag + max(_length(at.x - x, at.y - y) for at in (first, last))).hi for x, y, _ in self.ends)
-        kept = max(self.kept - 0.005, 0.5 * self.kept) if self.relief else self.kept
+        kept = max(self.kept - 0.005, 0.5 * self.kept) if self.relief else self.kept  # (C22), else (C2)
         leaving = (_Span(max(0.0, (_Span(start) - self.relief).hi)) * 0.5 + kept).hi
         eased = self._tapered(start, self.at_start) if self.relief and self.at_start is not None else math.inf
         return min(self._tapered(dock, self.at_dock), leaving, eased)
@@ -229,7 +229,7 @@ def _gap(corners: list[Any], ring: list[Any]) -> float:
 
 
 def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, Any]) -> None:
-    """Check the path rules: ends, joints, gears, turns, curvature, final straight."""
+    """Check the path rules of (C1): ends, joints, gears, turns, curvature, final straight."""
     start, dock, limits = proof["start"], proof["dock"], proof["robot"]["limits"]
     first, last, driven = segments[0], segments[-1], [one for one in segments if one.gear != 0.0]
     gaps = [_Span(a.gap_to(b.start)) for a, b in zip(ends[:-1], segments[1:], strict=True)]
@@ -299,9 +299,9 @@ class _Motion:
         self.turning = {**dict.fromkeys(self.limits, math.inf), "track_width": 0.0, "wheelbase": 0.0, **turning}
 
     def check(self) -> float:
-        """Check rests, waits and every limit over the whole motion; return its duration [s]."""
+        """Check rests (C14) and every limit over the whole motion; return its duration [s]."""
         rests = [(s, k) for k, (s, v, a) in enumerate(self.states) if max(v.size, a.size) <= TOLERANCE]
-        # (C14): a segment has the phases between the rests nearest to its ends, even if these are almost one place.
+        # A segment has the phases between the rests nearest to its ends, even if these are almost one place.
         near = [min((((s - place).size, k) for s, k in rests), default=(math.inf, -1)) for place in self.begins[1:-1]]
         near += [((s - self.begins[-1]).size, k) for s, k in rests if k == len(self.phases)] or [(math.inf, -1)]
         cuts = [0, *(k for _, k in near)]
@@ -335,7 +335,7 @@ class _Motion:
         return next((name for name, found, least, most in ranges if not least <= found.lo <= found.hi <= most), "")
 
     def _quantities(self, one: _Segment, top: float, motion: tuple[_Polynomial, ...]) -> list[Any]:
-        """Return each limited quantity with its bounds; the table after (C12) lists them."""
+        """Return each limited quantity with its bounds: those of (C13) and of the table after (C12), or of (G3)."""
         (v, a, k, r), limits = motion, self.limits if one.gear else self.turning
         lever, base, steep = 0.5 * limits["track_width"], limits["wheelbase"], limits["max_steering_rate"]
         slack = k * k * _Polynomial(_Span(base) * base * -min(steep, 1e9))
@@ -351,7 +351,7 @@ class _Motion:
             ("speed", v, -TOLERANCE, min(top, limits["max_speed" if one.gear > 0.0 else "max_reverse_speed"])),
             ("acceleration", a, -limits["max_deceleration"], limits["max_acceleration"]),
             *((name, terms, -limits[name], limits[name]) for name, terms in symmetric),
-            # |base * r * v| <= steep * (1 + (base * k)^2)
+            # Steering rate: |base * r * v| <= steep * (1 + (base * k)^2)
             *(("steering_rate", v * r * _Polynomial(_Span(side)) + slack, -math.inf, steep) for side in (base, -base)),
         ]
 
