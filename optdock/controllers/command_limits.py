@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from optdock.model.limits import MotionLimits
 
-__all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "smooth_slope"]
+__all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "reachable_speed", "smooth_slope"]
 
 _NO_ARC = 1e-9  # [m/s]: the curvature of a slower command is undefined
 _ROUNDING = 1e-15  # [m/s]: a smaller difference to the wanted command counts as zero
@@ -396,14 +396,20 @@ def fastest_slope(gap: float, jerk: float, period: float) -> float:
     return step * (0.5 * n + units / (n + 1))
 
 
-def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
-    """Return the command nearest to `wanted` that is reachable from `previous` in `period` [s], without a jerk limit.
+def reachable_speed(before: float, wanted: float, limits: MotionLimits, period: float) -> float:
+    """Return the speed nearest to `wanted` that is reachable from `before` in `period` [s], without a jerk limit.
 
     Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
     """
-    linear = _approach(
-        previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
-    )
+    return _approach(before, wanted, limits.max_acceleration * period, limits.max_deceleration * period)
+
+
+def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
+    """Return the command nearest to `wanted` that is reachable from `previous` in `period` [s], without a jerk limit.
+
+    The speed is that of `reachable_speed`.
+    """
+    linear = reachable_speed(previous.linear, wanted.linear, limits, period)
     turn = limits.max_yaw_acceleration * period
     eased = _eased(wanted.angular, previous, linear, period, limits)
     return Twist2(linear, _approach(previous.angular, eased, turn, turn))
