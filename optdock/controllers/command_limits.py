@@ -122,21 +122,29 @@ class CommandLimiter:
         slope = self._slope(wanted.linear, feed_forward.linear, period, limits)
         if math.isfinite(room):
             slope = self._stopping_within(room, slope, period, limits)
-        slope = self._leaving_room(slope, turn_at(before + slope * period), period, limits)
         linear = before + slope * period
-        if abs(linear - wanted.linear) <= _ROUNDING:
-            linear = wanted.linear
-        turned = _turned_within(turn_at(linear), linear, slope, period, limits)
+        turn = turn_at(linear)
+        reduced = self._leaving_room(slope, turn, period, limits)
+        if abs(before + reduced * period - wanted.linear) <= _ROUNDING:
+            linear, turn = wanted.linear, turn_at(wanted.linear)
+        elif reduced != slope:
+            linear = before + reduced * period
+            turn = turn_at(linear)
+        turned = _turned_within(turn, linear, reduced, period, limits)
         command = Twist2(linear, turned * linear if steered else turned)
-        if self._feed_forward is not None:
-            self.acceleration, self._period = (command.linear - before) / period, period
-            self._usual = min(period, _SLOWER * self._usual)
-        self._feed_forward, self.command = feed_forward.linear, command
+        self._keep(command, feed_forward.linear, period)
         if steered:
             self.curvature = turned
         elif abs(linear) >= _CREEPING:
             self.curvature = command.angular / linear
         return command
+
+    def _keep(self, command: Twist2, feed_forward: float, period: float) -> None:
+        """Record the command of this period, and the speed of its feed-forward."""
+        if self._feed_forward is not None:
+            self.acceleration, self._period = (command.linear - self.command.linear) / period, period
+            self._usual = min(period, _SLOWER * self._usual)
+        self._feed_forward, self.command = feed_forward, command
 
     def _between(self, period: float) -> float:
         """Return the time [s] between the middles of the last and the present period."""
@@ -147,15 +155,20 @@ class CommandLimiter:
         before = self.command.linear
         if self._feed_forward is None:
             return 0.0  # the age of the last command is unknown
-        slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
-        jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
-        self._feed_slope = slope
+        between = self._between(period)
+        slope, jerk = self._fed_slope(feed_forward, period)
         missing, periods = wanted - slope * period - before, (period, between, min(period, self._usual))
         lasts = (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
         slope = smooth_slope(missing, slope, self.acceleration, limits.max_jerk, periods, (jerk, lasts))
         braking = before != 0.0 and slope * before < 0.0
         most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
         return min(max(slope, -most), most)
+
+    def _fed_slope(self, feed_forward: float, period: float) -> tuple[float, float]:
+        """Return the acceleration and the jerk of the feed-forward, whose last speed is known, and record them."""
+        slope, before = (feed_forward - (self._feed_forward or 0.0)) / period, self._feed_slope
+        self._feed_slope = slope
+        return slope, 0.0 if before is None else (slope - before) / self._between(period)
 
     def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
         """Return the acceleration, reduced within the jerk limit to stop in `room` without reversing."""
@@ -439,10 +452,16 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
 def _on_its_arc(wanted: Twist2, linear: float, curvature: float) -> float:
     """Return the yaw rate at the speed `linear` that preserves the curvature of `wanted`, if the speeds are similar."""
     share = linear / wanted.linear if wanted.linear != 0.0 else 1.0
-    return _bent(Twist2(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0)), curvature).angular
+    return _bent_rate(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0), curvature)
 
 
 def _bent(command: Twist2, curvature: float) -> Twist2:
     """Return the command with its curvature limited."""
-    most = curvature * abs(command.linear) if command.linear != 0.0 else 0.0
-    return Twist2(command.linear, min(max(command.angular, -most), most))
+    angular = _bent_rate(command.linear, command.angular, curvature)
+    return command if angular == command.angular else Twist2(command.linear, angular)
+
+
+def _bent_rate(linear: float, angular: float, curvature: float) -> float:
+    """Return the yaw rate, limited to that of a curvature at a speed."""
+    most = curvature * abs(linear) if linear != 0.0 else 0.0
+    return min(max(angular, -most), most)

@@ -403,14 +403,20 @@ class _ProgramLimiter(CommandLimiter):
     ) -> Twist2:
         """Return the reachable command nearest to `wanted`; see `CommandLimiter.follow`."""
         before, is_first, allowed = self.command, self._feed_forward is None, self.allowed
-        command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
-        if is_first or allowed is None or wanted.linear != allowed.linear:
-            return command
-        if wanted.angular in (allowed.angular, 0.0):  # the finish leaves out a negligible turn
-            self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
-            self.acceleration = (command.linear - before.linear) / period
-            if abs(command.linear) > _AT_REST:
-                self.curvature = command.angular / command.linear
+        is_kept = allowed is not None and not is_first and wanted.linear == allowed.linear
+        # The finish leaves out a negligible turn.
+        is_kept = is_kept and allowed is not None and wanted.angular in (allowed.angular, 0.0)
+        if not is_kept or drive is Drive.ACKERMANN:  # the curvature of steered wheels is defined at rest, too
+            command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
+            if not is_kept:
+                return command
+        else:
+            self._fed_slope(feed_forward.linear, period)
+            self._keep(before, feed_forward.linear, period)
+        self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
+        self.acceleration = (command.linear - before.linear) / period
+        if abs(command.linear) > _AT_REST:
+            self.curvature = command.angular / command.linear
         return command
 
 
