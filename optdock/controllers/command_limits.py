@@ -122,15 +122,14 @@ class CommandLimiter:
         slope = self._slope(wanted.linear, feed_forward.linear, period, limits)
         if math.isfinite(room):
             slope = self._stopping_within(room, slope, period, limits)
-        linear = before + slope * period
+        linear = _equal_up_to_rounding(before + slope * period, wanted.linear)
         turn = turn_at(linear)
-        reduced = self._leaving_room(slope, turn, period, limits)
-        if abs(before + reduced * period - wanted.linear) <= _ROUNDING:
-            linear, turn = wanted.linear, turn_at(wanted.linear)
-        elif reduced != slope:
-            linear = before + reduced * period
-            turn = turn_at(linear)
-        turned = _turned_within(turn, linear, reduced, period, limits)
+        if self._leaves_room(slope, turn, period, limits):
+            turned = turn.wanted
+        else:
+            slope = self._leaving_room(slope, turn, period, limits)
+            linear = _equal_up_to_rounding(before + slope * period, wanted.linear)
+            turned = _turned_within(turn_at(linear), linear, slope, period, limits)
         command = Twist2(linear, turned * linear if steered else turned)
         self._keep(command, feed_forward.linear, period)
         if steered:
@@ -188,14 +187,30 @@ class CommandLimiter:
             found = max(found, min(-_fastest(speed, limits.max_jerk, period, usual) - step, most))
         return forward * found
 
+    def _leaves_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> bool:
+        """Whether an acceleration and the desired turn satisfy the limits on speed and turn."""
+        rise, amount = abs(slope), abs(turn.wanted)
+        after = math.copysign(1.0, slope) * self.command.linear + rise * period
+        return (
+            rise <= self._most_rise(slope, turn, period, limits)
+            and _fits(after, rise - 0.5 * limits.max_jerk * period, amount, turn, limits)
+            and (after >= 0.0 or _fits(-after, 0.0, amount, turn, limits))
+        )
+
+    def _most_rise(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
+        """Return the largest acceleration in the direction of `slope` within the limits of speed and yaw rate."""
+        forward = math.copysign(1.0, slope)
+        speed = forward * self.command.linear  # negative: the speed decreases towards rest
+        top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
+        most = _rise_to(top - speed, limits.max_jerk, period)
+        if turn.steered and turn.least != 0.0:
+            most = min(most, (limits.max_yaw_acceleration + turn.fade * max(speed, 0.0)) / abs(turn.least))
+        return most
+
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
         """Return the acceleration, reduced to the limits on speed and turn as far as the jerk limit permits."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
-        speed = forward * self.command.linear  # negative: the speed decreases towards rest
-        top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
-        most = min(rise, _rise_to(top - speed, limits.max_jerk, period))
-        if turn.steered and turn.least != 0.0:
-            most = min(most, (limits.max_yaw_acceleration + turn.fade * max(speed, 0.0)) / abs(turn.least))
+        speed, most = forward * self.command.linear, min(rise, self._most_rise(slope, turn, period, limits))
         least = max(forward * self.acceleration - limits.max_jerk * self._between(period), 0.0)
         return forward * _largest(
             lambda rise: _fits(
@@ -269,25 +284,24 @@ def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionL
     acceleration. `amount` is the magnitude of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
-    shared: tuple[tuple[int, float, float, float], ...]
-    shared = ((1, amount, fade, limits.max_lateral_acceleration),)
+    motion, lateral = (speed, rise, jerk), limits.max_lateral_acceleration
     if turn.steered:
-        if amount * rise > (limits.max_yaw_acceleration + fade * max(speed, 0.0)) * _EXACT:
-            return False
-        shared = (
-            (1, 1.0 + lever * amount, lever * fade, limits.max_wheel_speed),
-            (1, amount, fade, limits.max_yaw_rate),
-            (2, amount, fade, limits.max_lateral_acceleration),
+        return (
+            amount * rise <= (limits.max_yaw_acceleration + fade * max(speed, 0.0)) * _EXACT
+            and _stays_below(limits.max_wheel_speed, 1, motion, (1.0 + lever * amount, lever * fade))
+            and _stays_below(limits.max_yaw_rate, 1, motion, (amount, fade))
+            and _stays_below(lateral, 2, motion, (amount, fade))
         )
-    else:
-        later = max(rise - lever * fade, 0.0) if lever > 0.0 else 0.0
-        rim = speed + later * later / (2.0 * jerk) + lever * amount
-        if amount > limits.max_yaw_rate * _EXACT or rim > limits.max_wheel_speed * _EXACT:
-            return False
-    return all(
-        math.isinf(bound) or _peak(power, (speed, rise, jerk), (turned, less)) <= bound * _EXACT
-        for power, turned, less, bound in shared
-    )
+    later = max(rise - lever * fade, 0.0) if lever > 0.0 else 0.0
+    rim = speed + later * later / (2.0 * jerk) + lever * amount
+    if amount > limits.max_yaw_rate * _EXACT or rim > limits.max_wheel_speed * _EXACT:
+        return False
+    return _stays_below(lateral, 1, motion, (amount, fade))
+
+
+def _stays_below(bound: float, power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> bool:
+    """Whether the maximum of `_peak` is within a bound."""
+    return math.isinf(bound) or _peak(power, speed, turn) <= bound * _EXACT
 
 
 def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> float:
@@ -447,6 +461,10 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
         return _approach(0.0, target, rise * left, fall)
     bound = rise if abs(target) > abs(value) else fall
     return value + min(max(target - value, -bound), bound)
+
+
+def _equal_up_to_rounding(speed: float, wanted: float) -> float:
+    return wanted if abs(speed - wanted) <= _ROUNDING else speed
 
 
 def _on_its_arc(wanted: Twist2, linear: float, curvature: float) -> float:
