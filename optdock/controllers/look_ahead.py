@@ -5,15 +5,18 @@ The motion consists of the commands that the drive has not yet executed, one per
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.obstacles import ObstacleSet, box_distance
+from optdock.geometry.pose import arc_end, displacement
 from optdock.geometry.separation import separation
 from optdock.model.cell_obstacles import obstacles_from_costmap
 from optdock.plugins.outcomes import CostmapInfoType
+from optdock.verification.clearance_kernel import compiled_clearances
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -28,6 +31,7 @@ _SPACING = 0.03  # [m], largest motion of a point of the footprint between two p
 _DEEPER = 1e-6  # [m], rounding of a depth that does not increase
 _TOUCHING = 1e-3  # [m], largest distance of a contact
 _AT_CONTACT = 0.1  # [m], distance from the pose of an intended contact, above noise and overshoot
+_FAR = 0.5  # [m]: larger clearances are not computed
 _MARGIN = 0.5  # [m] around the motion in which obstacles are cached between calls
 
 
@@ -40,15 +44,32 @@ class Obstruction(NamedTuple):
 
 def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:
     """Return poses along successive arcs from `pose`; each arc is a velocity and a duration [s]. Shape (n, 3)."""
-    radius, poses = footprint.circumscribed_radius, [(pose.x, pose.y, pose.yaw)]
+    radius, (x, y, yaw) = radius_of(footprint), (pose.x, pose.y, pose.yaw)
+    poses = [(x, y, yaw)]
     for twist, duration in phases:
         reach = duration * (abs(twist.linear) + radius * abs(twist.angular))
-        count = math.ceil(reach / _SPACING)
-        for k in range(1, count + 1):
-            then = pose.moved(twist, duration * k / count)
-            poses.append((then.x, then.y, then.yaw))
-        pose = pose.moved(twist, duration)
+        velocity, count = (twist.linear, twist.angular, twist.lateral), math.ceil(reach / _SPACING)
+        poses += [arc_end(x, y, yaw, velocity, duration * k / count) for k in range(1, count)]
+        x, y, yaw = arc_end(x, y, yaw, velocity, duration)
+        if count > 0:
+            poses.append((x, y, yaw))
     return np.array(poses)
+
+
+@functools.lru_cache(maxsize=8)
+def radius_of(footprint: Footprint) -> float:
+    """Return `Footprint.circumscribed_radius` [m], cached."""
+    return footprint.circumscribed_radius
+
+
+class _Clear(NamedTuple):
+    """Pose at which the footprint has a clearance [m] from all of the obstacles."""
+
+    x: float
+    y: float
+    yaw: float
+    clearance: float
+    obstacles: ObstacleSet
 
 
 class LookAhead:
@@ -56,6 +77,7 @@ class LookAhead:
 
     def __init__(self) -> None:
         self._around: _Around | None = None
+        self._clear: _Clear | None = None
 
     def obstruction(
         self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
@@ -76,9 +98,11 @@ class LookAhead:
         footprint = context.footprint
         if footprint is None:
             return None
-        radius = footprint.circumscribed_radius
+        radius = radius_of(footprint)
         lower, upper = way[:, :2].min(axis=0) - radius, way[:, :2].max(axis=0) + radius
         obstacles = self._near(context, lower, upper)
+        if self._is_free(way, footprint, obstacles):
+            return None
         rows = obstacles.rows_in_box(lower, upper)
         if rows.size == 0:
             return None
@@ -102,6 +126,17 @@ class LookAhead:
         if not math.isfinite(float(beyond[worst])):
             return None
         return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
+
+    def _is_free(self, way: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> bool:
+        """Whether no pose overlaps an obstacle, because it is near a pose with a larger clearance or by itself."""
+        clear = self._clear
+        if clear is not None and clear.obstacles is obstacles:
+            off = np.hypot(way[:, 0] - clear.x, way[:, 1] - clear.y)
+            if displacement(off, way[:, 2] - clear.yaw, radius_of(footprint)).max() < clear.clearance:
+                return True
+        clearances = compiled_clearances(way, footprint, obstacles, within=_FAR)[0]
+        self._clear = _Clear(*way[0].tolist(), float(clearances[0]), obstacles)
+        return bool(clearances.min() >= 0.0)
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """Return the obstacles of the context in and around a box, from the present costmaps."""
@@ -136,7 +171,7 @@ class _Around:
     """Obstacles of a context that lie in a box, cached until they change."""
 
     def __init__(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> None:
-        self.context, self._lower, self._upper = context, lower, upper
+        self.context, self._box = context, (*lower.tolist(), *upper.tolist())
         problem = context.problem
         self._fixed = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
         own = None if problem is None else problem.costmap
@@ -147,7 +182,8 @@ class _Around:
 
     def contains(self, lower: FloatArray, upper: FloatArray) -> bool:
         """Whether a given box lies inside this box."""
-        return bool(np.all(self._lower <= lower) and np.all(upper <= self._upper))
+        (x, y), (far_x, far_y), (least_x, least_y, most_x, most_y) = lower.tolist(), upper.tolist(), self._box
+        return least_x <= x and least_y <= y and far_x <= most_x and far_y <= most_y
 
     def obstacles(self) -> ObstacleSet:
         """Return all obstacles, from the present costmaps."""

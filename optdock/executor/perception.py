@@ -235,10 +235,11 @@ class Perception:
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:
-        """Return the covariance of the robot in the frame of the stored dock, Shape (3, 3)."""
+        """Return the covariance of the robot in the frame of the stored dock, which was not detected. Shape (3, 3)."""
         settings = self._settings
-        from_stored = self._robot.pose.in_frame_of(self._stored) if self.sees_dock else self.robot_from_dock
-        return covariance_from_dock(from_stored, settings.stored_position_sigma, settings.stored_yaw_sigma)
+        return covariance_from_dock(
+            self.robot_from_dock, settings.stored_position_sigma, settings.stored_yaw_sigma
+        )
 
     def _report_lost(self) -> None:
         """Report once when poses or detections are missing, and once when they are available again."""
