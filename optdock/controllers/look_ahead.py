@@ -63,7 +63,7 @@ def radius_of(footprint: Footprint) -> float:
 
 
 class _Clear(NamedTuple):
-    """Pose at which the footprint has a clearance [m] from all of the obstacles."""
+    """Pose at which the footprint has at least a clearance [m] from all obstacles; `obstacles`: those of the box."""
 
     x: float
     y: float
@@ -78,6 +78,18 @@ class LookAhead:
     def __init__(self) -> None:
         self._around: _Around | None = None
         self._clear: _Clear | None = None
+
+    def is_clear(self, context: PluginContext, footprint: Footprint, pose: Pose2, reach: float) -> bool:
+        """Whether no motion from `pose` that displaces the footprint by at most `reach` [m] meets an obstacle.
+
+        Only the clearance found by the last call of `obstruction` is used, so False means unknown.
+        """
+        clear, around = self._clear, self._around
+        if clear is None or around is None or around.context is not context:
+            return False
+        off = math.hypot(pose.x - clear.x, pose.y - clear.y)
+        moved = float(displacement(off, pose.yaw - clear.yaw, radius_of(footprint)))
+        return moved + reach < clear.clearance and around.obstacles() is clear.obstacles
 
     def obstruction(
         self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
@@ -101,7 +113,10 @@ class LookAhead:
         radius = radius_of(footprint)
         lower, upper = way[:, :2].min(axis=0) - radius, way[:, :2].max(axis=0) + radius
         obstacles = self._near(context, lower, upper)
-        if self._is_free(way, footprint, obstacles):
+        clearances = compiled_clearances(way, footprint, obstacles, within=_FAR)[0]
+        room = 0.0 if self._around is None else self._around.room(way[0], radius)
+        self._clear = _Clear(*way[0].tolist(), min(float(clearances[0]), room), obstacles)
+        if clearances.min() >= 0.0:
             return None
         rows = obstacles.rows_in_box(lower, upper)
         if rows.size == 0:
@@ -126,17 +141,6 @@ class LookAhead:
         if not math.isfinite(float(beyond[worst])):
             return None
         return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
-
-    def _is_free(self, way: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> bool:
-        """Whether no pose overlaps an obstacle, because it is near a pose with a larger clearance or by itself."""
-        clear = self._clear
-        if clear is not None and clear.obstacles is obstacles:
-            off = np.hypot(way[:, 0] - clear.x, way[:, 1] - clear.y)
-            if displacement(off, way[:, 2] - clear.yaw, radius_of(footprint)).max() < clear.clearance:
-                return True
-        clearances = compiled_clearances(way, footprint, obstacles, within=_FAR)[0]
-        self._clear = _Clear(*way[0].tolist(), float(clearances[0]), obstacles)
-        return bool(clearances.min() >= 0.0)
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """Return the obstacles of the context in and around a box, from the present costmaps."""
@@ -184,6 +188,11 @@ class _Around:
         """Whether a given box lies inside this box."""
         (x, y), (far_x, far_y), (least_x, least_y, most_x, most_y) = lower.tolist(), upper.tolist(), self._box
         return least_x <= x and least_y <= y and far_x <= most_x and far_y <= most_y
+
+    def room(self, pose: FloatArray, radius: float) -> float:
+        """Return the distance [m] of a circle around a pose to the border of the box."""
+        (x, y, _), (least_x, least_y, most_x, most_y) = pose.tolist(), self._box
+        return min(x - least_x, y - least_y, most_x - x, most_y - y) - radius
 
     def obstacles(self) -> ObstacleSet:
         """Return all obstacles, from the present costmaps."""

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.delay_estimate import ControlClock, DelayEstimate
-from optdock.controllers.look_ahead import LookAhead, Obstruction, stopping_way
+from optdock.controllers.look_ahead import LookAhead, Obstruction, radius_of, stopping_way
 from optdock.controllers.moving_reference import (
     ReferenceProgress,
     ReferenceState,
@@ -273,12 +273,16 @@ class TrackingController(Controller):
         # Braking covers half of the distance at constant speed.
         braking = 0.5 * max(by_speed, by_turn / limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
+        radius, phases = radius_of(footprint), (*driven, (command, braking))
+        reach = sum(lasts * (abs(twist.linear) + radius * abs(twist.angular)) for twist, lasts in phases)
+        if self._look_ahead.is_clear(self.context, footprint, pose, reach):
+            return
         ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._feedback.scatter)
 
         def obstruction(way: FloatArray) -> Obstruction | None:
             return self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance, noise)
 
-        found = obstruction(stopping_way(pose, footprint, (*driven, (command, braking))))
+        found = obstruction(stopping_way(pose, footprint, phases))
         if found is None:
             return
         distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)

@@ -318,6 +318,8 @@ class PoseFilter:
         pose, reckoned = self.pose, self._reckoned
         if stamp < reckoned[0][0]:
             raise InvalidValue(f"pose filter: motion is stored from {reckoned[0][0]} s on, got {stamp} s")
+        if stamp >= reckoned[-1][0]:
+            return pose
         return pose @ (reckoned[-1][1].inverse() @ _between(reckoned, stamp))
 
     def correct(
