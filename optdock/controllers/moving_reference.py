@@ -6,6 +6,7 @@ trajectory.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -328,6 +329,7 @@ def _travel(row: MotionRow) -> tuple[float, float]:
     return gear, math.copysign(1.0, row.curvature) if gear == 0.0 else 0.0
 
 
+@functools.lru_cache(maxsize=8)
 def peaks(trajectory: Trajectory) -> tuple[float, float]:
     """Return the largest speed and acceleration outside of turns in place [m/s, m/s^2].
 

@@ -19,9 +19,8 @@ from optdock.controllers.mpc_program import (
     MpcCycle,
     MpcWeights,
     TrackingProgram,
-    arcs_between,
     condensed,
-    riccati_back,
+    cost_to_go,
 )
 from optdock.controllers.tracking_controller import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
@@ -188,11 +187,11 @@ class MpcController(TrackingController):
             self._to_go.clear()
         self._horizon = p.horizon
         if self._reference is not None:
-            live = self._reference.trajectory, self._reference.last
+            live = dict.fromkeys((self._reference.trajectory, self._reference.last))
             self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
             # The cost to go ignores the limits: with a horizon shorter than the braking time, braking would begin too
             # late.
-            fastest = max(peaks(each)[0] for each in dict.fromkeys(live))
+            fastest = max(peaks(each)[0] for each in live)
             self._horizon = max(
                 self._horizon, braking_time(fastest, self._limits.max_deceleration, self._limits.max_jerk)
             )
@@ -247,8 +246,7 @@ class MpcController(TrackingController):
 
     def _cost_to_go(self, trajectory: Trajectory) -> _CostToGo:
         times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
-        arcs, weights = arcs_between(trajectory.table.at(times)[:, 1:4], times), self._weights
-        return _CostToGo(times.tolist(), riccati_back(arcs, weights.errors, weights.effort, weights.final))
+        return _CostToGo(times.tolist(), cost_to_go(trajectory.table.at(times)[:, 1:4].copy(), times, self._weights))
 
     def _wanted(
         self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: AcceptedErrors
@@ -283,8 +281,8 @@ class MpcController(TrackingController):
         pose, velocity = self._at_effect(latency, lag)
         seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
         state = np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular])
-        cost_to_go = costs[min(bisect_left(times, time), len(times) - 1)]
-        errors, last = condensed(poses, h, lag, state, built.weights, cost_to_go), self._limiter.command
+        cost = costs[min(bisect_left(times, time), len(times) - 1)]
+        errors, last = condensed(poses, h, lag, state, built.weights, cost), self._limiter.command
         return MpcCycle(
             condensed=errors,
             nominal_before=(last.linear, last.angular) if self._nominal is None else self._nominal,

@@ -32,6 +32,7 @@ __all__ = [
     "ReferenceArcs",
     "arcs_between",
     "condensed",
+    "cost_to_go",
     "predicted",
     "riccati_back",
     "step_matrices",
@@ -120,18 +121,6 @@ def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatAr
     return Prediction(errors, by)
 
 
-_RICCATI = Kernel("optdock_riccati_back", sizes=1, numbers=0)
-
-
-def _riccati_natively(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, final: FloatArray) -> FloatArray:
-    (a, b, _), n = step_matrices(arcs, (0.0, 0.0)), arcs.h.size
-    cost, weights = np.empty((n + 1, 3, 3)), np.concatenate((stage, effort, final))
-    arrays = (a, 25 * n), (b, 10 * n), (np.ascontiguousarray(arcs.h), n), (weights, 8), (cost, cost.size)
-    _RICCATI((n,), (), arrays)
-    return cost
-
-
-@twin_of(_riccati_natively)
 def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, final: FloatArray) -> FloatArray:
     """Return the cost to go of the problem without limits and lag, by the finite-horizon Riccati recursion.
 
@@ -159,6 +148,40 @@ def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, fin
     return cost
 
 
+class MpcWeights(NamedTuple):
+    """Weights of the cost, per second; `final` is added once."""
+
+    errors: FloatArray  # errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,)
+    effort: FloatArray  # deviations of speed and yaw rate from the nominal commands, Shape (2,)
+    change: FloatArray  # rates of these deviations, Shape (2,)
+    final: FloatArray  # errors at the end of the trajectory, Shape (3,)
+
+
+_COST_TO_GO = Kernel("optdock_cost_to_go", sizes=1, numbers=0)
+
+
+def _cost_to_go_natively(poses: FloatArray, times: FloatArray, weights: MpcWeights) -> FloatArray:
+    n, numbers = times.size - 1, np.concatenate((weights.errors, weights.effort, weights.final))
+    cost = np.empty((n + 1, 3, 3))
+    _COST_TO_GO((n,), (), ((poses, 3 * n + 3), (times, n + 1), (numbers, 8), (cost, cost.size)))
+    return cost
+
+
+@twin_of(_cost_to_go_natively)
+def cost_to_go(poses: FloatArray, times: FloatArray, weights: MpcWeights) -> FloatArray:
+    """Return the cost to go of a reference, see `riccati_back`.
+
+    Args:
+        poses: Poses of the whole reference, Shape (n + 1, 3).
+        times: Their times, Shape (n + 1,) [s].
+        weights: Weights of the cost.
+
+    Returns:
+        Shape (n + 1, 3, 3).
+    """
+    return riccati_back(arcs_between(poses, times), weights.errors, weights.effort, weights.final)
+
+
 class CondensedErrors(NamedTuple):
     """Errors over the horizon as a function of the commands u, and their cost u' hessian u / 2 + gradient' u.
 
@@ -178,12 +201,12 @@ _CONDENSE = Kernel("optdock_condense", sizes=1, numbers=1)
 
 
 def _condensed_natively(  # noqa: PLR0913, PLR0917 - as the twin
-    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, cost_to_go: FloatArray
+    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
 ) -> CondensedErrors:
     n = h.size
     ends = 2 * n, 5 * n, 5 * n + 6 * n * n, 5 * n + 10 * n * n, 7 * n + 10 * n * n
     out = np.empty(ends[-1] + 10 * n)
-    arrays = (poses, 6 * (n + 1)), (h, n), (state, 5), (weights, 3), (cost_to_go, 9), (out, out.size)
+    arrays = (poses, 6 * (n + 1)), (h, n), (state, 5), (weights, 3), (after, 9), (out, out.size)
     _CONDENSE((n,), (lag,), arrays)
     return CondensedErrors(
         out[: ends[0]].reshape(n, 2),
@@ -196,7 +219,7 @@ def _condensed_natively(  # noqa: PLR0913, PLR0917 - as the twin
 
 @twin_of(_condensed_natively)
 def condensed(  # noqa: PLR0913, PLR0917 - the data of a horizon
-    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, cost_to_go: FloatArray
+    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
 ) -> CondensedErrors:
     """Return the errors over the horizon and their cost.
 
@@ -206,26 +229,17 @@ def condensed(  # noqa: PLR0913, PLR0917 - the data of a horizon
         lag: Lag of the drive, of speed and yaw rate [s].
         state: Present errors, speed and yaw rate, Shape (5,).
         weights: Weights of the errors per second, Shape (3,).
-        cost_to_go: Cost matrix after the last step, symmetric, Shape (3, 3).
+        after: Cost to go after the last step, symmetric, Shape (3, 3).
     """
     n, times = h.size, np.concatenate(([0.0], np.cumsum(h)))
     arcs, leading = arcs_between(poses[: n + 1], times), arcs_between(poses[n + 1 :], times)
     prediction = predicted(state, step_matrices(arcs, (lag, lag)))
     errors, by = prediction.errors[:, :3], prediction.by_commands[:, :3, :]
     heavy = ((h[:, None] * weights)[:, :, None] * by).reshape(3 * n, 2 * n)
-    end = by[-1].T @ cost_to_go
+    end = by[-1].T @ after
     hessian = heavy.T @ by.reshape(3 * n, 2 * n) + end @ by[-1]
     gradient = heavy.T @ errors.ravel() + end @ errors[-1]
     return CondensedErrors(np.column_stack((leading.v, leading.w)), errors, by, hessian, gradient)
-
-
-class MpcWeights(NamedTuple):
-    """Weights of the cost, per second; `final` is added once."""
-
-    errors: FloatArray  # errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,)
-    effort: FloatArray  # deviations of speed and yaw rate from the nominal commands, Shape (2,)
-    change: FloatArray  # rates of these deviations, Shape (2,)
-    final: FloatArray  # errors at the end of the trajectory, Shape (3,)
 
 
 class CommandBounds(NamedTuple):

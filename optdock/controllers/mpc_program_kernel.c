@@ -1,4 +1,4 @@
-/* Data of the MPC's program: the functions `condensed` and `riccati_back` of `mpc_program.py` in C.
+/* Data of the MPC's program: the functions `condensed` and `cost_to_go` of `mpc_program.py` in C.
  *
  * The cost is (K9) and the dynamics of a step (K10) of docs/theory/controller.md. Sines and cosines are those of the C
  * library, and sums are in another order, so the results are equal to those of the twins up to rounding. */
@@ -147,20 +147,21 @@ int64_t optdock_condense(int64_t n, double lag, const double *poses, const doubl
 }
 
 /* One step back: the cost matrix p after a step becomes that before it. */
-static void riccati_step(const double *a, const double *b, double h, const double *weights, double p[3][3])
+static void riccati_step(const Step *step, double h, const double *weights, double p[3][3])
 {
     double pa[3][3], pb[3][2], m[2][2], bpa[2][3], gain[2][3], next[3][3];
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++)
-            pa[i][j] = p[i][0] * a[j] + p[i][1] * a[5 + j] + p[i][2] * a[10 + j];
+            pa[i][j] = p[i][0] * step->a[0][j] + p[i][1] * step->a[1][j] + p[i][2] * step->a[2][j];
         for (int j = 0; j < 2; j++)
-            pb[i][j] = p[i][0] * b[j] + p[i][1] * b[2 + j] + p[i][2] * b[4 + j];
+            pb[i][j] = p[i][0] * step->b[0][j] + p[i][1] * step->b[1][j] + p[i][2] * step->b[2][j];
     }
     for (int i = 0; i < 2; i++) {
         for (int j = 0; j < 2; j++)
-            m[i][j] = b[i] * pb[0][j] + b[2 + i] * pb[1][j] + b[4 + i] * pb[2][j] + (i == j ? h * weights[3 + i] : 0.0);
+            m[i][j] = step->b[0][i] * pb[0][j] + step->b[1][i] * pb[1][j] + step->b[2][i] * pb[2][j] +
+                      (i == j ? h * weights[3 + i] : 0.0);
         for (int j = 0; j < 3; j++)
-            bpa[i][j] = pb[0][i] * a[j] + pb[1][i] * a[5 + j] + pb[2][i] * a[10 + j];
+            bpa[i][j] = pb[0][i] * step->a[0][j] + pb[1][i] * step->a[1][j] + pb[2][i] * step->a[2][j];
     }
     double determinant = m[0][0] * m[1][1] - m[0][1] * m[1][0];
     for (int j = 0; j < 3; j++) {
@@ -169,31 +170,33 @@ static void riccati_step(const double *a, const double *b, double h, const doubl
     }
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            next[i][j] = a[i] * pa[0][j] + a[5 + i] * pa[1][j] + a[10 + i] * pa[2][j] - bpa[0][i] * gain[0][j] -
-                         bpa[1][i] * gain[1][j] + (i == j ? h * weights[i] : 0.0);
+            next[i][j] = step->a[0][i] * pa[0][j] + step->a[1][i] * pa[1][j] + step->a[2][i] * pa[2][j] -
+                         bpa[0][i] * gain[0][j] - bpa[1][i] * gain[1][j] + (i == j ? h * weights[i] : 0.0);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             p[i][j] = 0.5 * (next[i][j] + next[j][i]);
 }
 
-/* Riccati recursion from the end to the start.
+/* Riccati recursion from the end of a reference to its start.
  *
  *   n         number of steps
- *   a, b      (n, 5, 5), (n, 5, 2), of which the three rows and columns of the errors are used
- *   h         (n,), length of the steps [s]
+ *   poses     (n + 1, 3)
+ *   times     (n + 1,) [s]
  *   weights   (8,): errors per second, commands per second, errors at the end
  *   cost      out, (n + 1, 3, 3)
  *
  * Return n. */
-int64_t optdock_riccati_back(int64_t n, const double *a, const double *b, const double *h, const double *weights,
-                             double *cost)
+int64_t optdock_cost_to_go(int64_t n, const double *poses, const double *times, const double *weights, double *cost)
 {
     double p[3][3] = {{0.0}};
     for (int i = 0; i < 3; i++)
         p[i][i] = weights[5 + i];
     for (int64_t k = n; k >= 0; k--) {
-        if (k < n)
-            riccati_step(a + 25 * k, b + 10 * k, h[k], weights, p);
+        if (k < n) {
+            double h = times[k + 1] - times[k];
+            Step step = step_of(arc_between(poses + 3 * k, poses + 3 * (k + 1), h), 0.0);
+            riccati_step(&step, h, weights, p);
+        }
         for (int i = 0; i < 9; i++)
             cost[9 * k + i] = p[i / 3][i % 3];
     }
