@@ -177,7 +177,7 @@ class Kernel:
 
     def __init__(self, symbol: str, sizes: int, numbers: int) -> None:
         self._symbol = symbol
-        self._kinds = (ctypes.c_int64,) * sizes, (ctypes.c_double,) * numbers
+        self._counts = sizes, numbers
 
     @functools.cached_property
     def _function(self) -> ctypes._NamedFuncPointer:
@@ -185,14 +185,7 @@ class Kernel:
         assert handle is not None
         function = handle[self._symbol]
         function.restype = ctypes.c_int64
-        return function
-
-    def _with_types(self, arrays: int) -> ctypes._NamedFuncPointer:
-        """Return the function with the types of its arguments, which are set by the first call."""
-        function = self._function
-        if not function.argtypes:
-            function.argtypes = (*self._kinds[0], *self._kinds[1], *(ctypes.c_void_p,) * arrays)
-        return function
+        return function  # `argtypes` are set by the first call
 
     def __call__(
         self,
@@ -210,28 +203,30 @@ class Kernel:
         Raises:
             ValueError: If an array is not a contiguous array of doubles or int64, or has another number of elements.
         """
-        if (len(sizes), len(numbers)) != (len(self._kinds[0]), len(self._kinds[1])):
+        if (len(sizes), len(numbers)) != self._counts:
             raise ValueError(f"{self._symbol}: {len(sizes)} sizes and {len(numbers)} numbers")
-        addresses = []
-        for i, (array, count) in enumerate(arrays):
-            if not array.flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
-                told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
-                raise ValueError(f"{self._symbol}: array {i} must be contiguous with {count} elements, got {told}")
-            addresses.append(_address(array))
-        return int(self._with_types(len(arrays))(*sizes, *numbers, *addresses))
-
-
-def _address(array: NDArray[np.float64] | NDArray[np.int64]) -> int | bytes:
-    """Return the address of a contiguous array, or the `bytes` object that contains exactly its elements.
-
-    `ctypes` passes the address of a `bytes` object. `array.ctypes` takes four times as long as each of the two others.
-    """
-    base: object = array.base
-    if type(base) is bytes and len(base) == array.nbytes:  # see `geometry.arrays.readonly`
-        return base
-    if array.flags.writeable and array.size:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
-    return array.ctypes.data
+        addresses: list[int | bytes] = []
+        for array, count in arrays:
+            flags, base = array.flags, array.base
+            if not flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
+                told = f"{array.dtype} {array.shape}, contiguous: {flags.c_contiguous}"
+                raise ValueError(
+                    f"{self._symbol}: array {len(addresses)} must be contiguous with {count} elements, got {told}"
+                )
+            # The address, or the `bytes` object that contains exactly the elements, see `geometry.arrays.readonly`:
+            # `ctypes` passes the address of a `bytes` object. `array.ctypes` takes four times as long.
+            if type(base) is bytes and len(base) == array.nbytes:
+                addresses += (base,)
+            elif flags.writeable and count:
+                addresses += (ctypes.addressof(ctypes.c_char.from_buffer(array)),)  # type: ignore[arg-type]
+            else:
+                addresses += (array.ctypes.data,)
+        function = self._function
+        if not function.argtypes:
+            integers, floats = self._counts
+            pointers = (ctypes.c_void_p,) * len(addresses)
+            function.argtypes = (*(ctypes.c_int64,) * integers, *(ctypes.c_double,) * floats, *pointers)
+        return int(function(*sizes, *numbers, *addresses))
 
 
 def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:

@@ -32,6 +32,7 @@ _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
 _YAW_ACCELERATION = MotionRow._fields.index("yaw_acceleration")
 _LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can decrease
+_NO_TIMES = readonly(np.zeros(0))
 _SAMPLES = 400  # for the nearest point
 _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 
@@ -115,6 +116,9 @@ class TrajectoryReference:
         self._preview = 0.0
         self._slope = 0.0  # of the rate [1/s]
         self._joints: list[_Joint] = []
+        # Results of the last call of `state`: poses at its previews, and the yaw accelerations after the preview.
+        self._horizon = _NO_TIMES, np.zeros((0, 3))
+        self._later: tuple[Trajectory, float, FloatArray] = (trajectory, math.nan, _NO_TIMES)
 
     @property
     def finished(self) -> bool:
@@ -162,13 +166,24 @@ class TrajectoryReference:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
 
-    def state(self) -> ReferenceState:
-        """Return the reference now and after the preview, at the present rate."""
+    def state(self, previews: FloatArray = _NO_TIMES) -> ReferenceState:
+        """Return the reference now and after the preview, at the present rate.
+
+        Args:
+            previews: Times ahead [s] for which `poses_ahead` will be called; they are evaluated in the same pass.
+        """
         shown, ahead, rate = self._at(self._preview)
-        if shown is self.trajectory:
-            row, then = shown.table.rows(self.time, ahead)
+        later = ahead + _LOOK_AHEAD
+        if shown is self.trajectory and not self._joints:
+            horizon = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
+            motion = shown.table.at(np.concatenate(((self.time, ahead), later, horizon)))
+            row, then = (MotionRow(*one) for one in motion[:2].tolist())
+            self._horizon = previews, motion[2 + later.size :, 1:4]
         else:
-            row, then = *self.trajectory.table.rows(self.time), *shown.table.rows(ahead)
+            (row,), motion = self.trajectory.table.rows(self.time), shown.table.at(np.concatenate(((0.0, ahead), later)))
+            then = MotionRow(*motion[1].tolist())
+            self._horizon = _NO_TIMES, motion[:0, 1:4]
+        self._later = shown, ahead, motion[2 : 2 + later.size, _YAW_ACCELERATION]
         gear, turn = _travel(row)
         gear_then, turn_then = _travel(then)
         share = rate if 0.0 <= ahead < shown.duration else 0.0
@@ -188,6 +203,8 @@ class TrajectoryReference:
 
     def poses_ahead(self, previews: FloatArray) -> FloatArray:
         """Return the poses after `previews`, Shape (n,) [s], at the present rate. Shape (n, 3)."""
+        if self._horizon[0] is previews:
+            return self._horizon[1].copy()
         if not self._joints:
             times = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
             return self.trajectory.table.at(times)[:, 1:4].copy()
@@ -206,7 +223,10 @@ class TrajectoryReference:
     def peak_yaw_acceleration(self) -> float:
         """Return the largest yaw acceleration [rad/s^2], at rate 1, of the commands now and in the next 0.3 s."""
         shown, time, _ = self._at(self._preview)
-        return float(np.abs(shown.table.at(time + _LOOK_AHEAD)[:, _YAW_ACCELERATION]).max())
+        known, at, found = self._later
+        if known is not shown or at != time:  # unless `state` has evaluated them
+            found = shown.table.at(time + _LOOK_AHEAD)[:, _YAW_ACCELERATION]
+        return float(np.abs(found).max())
 
     def next_arc(self) -> Twist2:
         """Return direction and curvature of the path at the commands as a twist; at a cusp, values of the next gear."""

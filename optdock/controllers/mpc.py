@@ -109,6 +109,18 @@ class _CostToGo(NamedTuple):
     matrices: FloatArray
 
 
+class _Grid(NamedTuple):
+    """Steps of the horizon.
+
+    `times`: borders of the n steps [s]; `steps`: their lengths, Shape (n,) [s]; `previews`: times of the reference
+    poses that the program uses, Shape (2 n + 2,) [s].
+    """
+
+    times: list[float]
+    steps: FloatArray
+    previews: FloatArray
+
+
 class _Built(NamedTuple):
     """Parameters and data of the robot for which the program was built, and the weights of the errors per second."""
 
@@ -152,6 +164,7 @@ class MpcController(TrackingController):
         self._program: TrackingProgram | None = None
         self._built: _Built | None = None
         self._horizon = self.parameters.horizon
+        self._grid: _Grid | None = None
         self._to_go: dict[Trajectory, _CostToGo] = {}
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
@@ -269,13 +282,26 @@ class MpcController(TrackingController):
         self._limiter.allowed = Twist2(v, w)
         return self._limiter.allowed
 
-    def _cycle(self, reference: TrajectoryReference, built: _Built) -> MpcCycle:
-        """Return the data of the program for this cycle, beginning at the time when its command takes effect."""
+    def _horizon_times(self) -> FloatArray:
+        if self._built is None or self._cancelled:
+            return super()._horizon_times()
+        self._grid = self._new_grid()
+        return self._grid.previews
+
+    def _new_grid(self) -> _Grid:
+        """Return the steps of the horizon, which begins when the next command takes effect."""
         n, period, (latency, lag) = self.parameters.steps, self._clock.period, self._delays
         steps = [period, *[max(period, (self._horizon - period) / (n - 1))] * (n - 1)]
-        t, h = list(itertools.accumulate(steps, initial=0.0)), np.array(steps)
+        t = list(itertools.accumulate(steps, initial=0.0))
         # The nominal commands lead the reference by the lag.
-        poses = reference.poses_ahead(np.array([latency + at for at in t] + [latency + (at + lag) for at in t]))
+        previews = np.array([latency + at for at in t] + [latency + (at + lag) for at in t])
+        return _Grid(t, np.array(steps), previews)
+
+    def _cycle(self, reference: TrajectoryReference, built: _Built) -> MpcCycle:
+        """Return the data of the program for this cycle, beginning at the time when its command takes effect."""
+        (t, h, previews), (latency, lag) = self._grid or self._new_grid(), self._delays
+        self._grid = None
+        poses = reference.poses_ahead(previews)
         trajectory, time = reference.trajectory_ahead(latency + t[-1])
         times, costs = self._to_go[trajectory]
         pose, velocity = self._at_effect(latency, lag)

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter
@@ -28,6 +29,7 @@ from optdock.controllers.tracking_checks import (
 )
 from optdock.controllers.tracking_law import CREEPING, DeadBandPush, FeedbackGains, Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
+from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, Twist2
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
+_NO_TIMES = readonly(np.zeros(0))
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _CREEP = 1e-6  # [m/s]: too slow to move the robot, but its curvature turns steered wheels
 _TURN_LEVER = 0.5  # [m]: turns in place identify the delay by the speed of a point at this distance
@@ -380,7 +383,11 @@ class TrackingController(Controller):
                 rate, settling = waiting_rate(lag, p.slow_down_lag, p.stop_lag) * allowed, _SETTLING
             reference.advance(before, self._clock.elapsed, rate, self._limits, settling)
             reference.look_ahead(self._preview, at_once=self._clock.learnt)
-        return reference.state()
+        return reference.state(self._horizon_times())
+
+    def _horizon_times(self) -> FloatArray:
+        """Return the times ahead whose reference poses the law of a subclass uses, Shape (n,) [s]."""
+        return _NO_TIMES
 
     @property
     def _known_delay(self) -> float:
