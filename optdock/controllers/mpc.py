@@ -241,7 +241,8 @@ class MpcController(TrackingController):
 
     @property
     def _known_delay(self) -> float:
-        return sum(self._delays)
+        p = self.parameters
+        return self._delay.delay if p.latency is None and p.lag is None else sum(self._delays)
 
     @property
     def _tube(self) -> tuple[float, float] | None:

@@ -277,7 +277,9 @@ class TrackingController(Controller):
         braking = 0.5 * max(by_speed, by_turn / limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         radius, phases = radius_of(footprint), (*driven, (command, braking))
-        reach = sum(lasts * (abs(twist.linear) + radius * abs(twist.angular)) for twist, lasts in phases)
+        reach = 0.0
+        for twist, lasts in phases:
+            reach += lasts * (abs(twist.linear) + radius * abs(twist.angular))
         if self._look_ahead.is_clear(self.context, footprint, pose, reach):
             return
         ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._feedback.scatter)

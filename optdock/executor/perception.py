@@ -125,7 +125,7 @@ class Perception:
     @property
     def robot_from_dock(self) -> Pose2:
         """Pose of the robot relative to the docked pose; independent of the localization after the first detection."""
-        if self.sees_dock:
+        if self._dock.accepted > 0:  # as `sees_dock`
             return self._dock.pose
         robot, from_stored = self._from_stored
         if robot is not self._robot.pose:

@@ -21,7 +21,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.geometry.pose import Pose2, Twist2, arc_end, normalize_angle
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -71,22 +71,27 @@ class DeadReckoning:
             twist: Body velocity.
             odometry: Newest pose; repeated and older poses are ignored.
         """
-        before, period = self.pose, stamp - self._stamp
+        before, period, step = self.pose, stamp - self._stamp, _ORIGIN
         if period > 0.0:
             # Trapezoidal rule.
-            mean = Twist2(
-                0.5 * (self._twist.linear + twist.linear),
-                0.5 * (self._twist.angular + twist.angular),
-                0.5 * (self._twist.lateral + twist.lateral),
+            old = self._twist
+            mean = (
+                0.5 * (old.linear + twist.linear),
+                0.5 * (old.angular + twist.angular),
+                0.5 * (old.lateral + twist.lateral),
             )
-            self.pose, self._idle = before.moved(mean, period), self._idle.moved(mean, period)
+            step = Pose2(*arc_end(0.0, 0.0, 0.0, mean, period))
+            self.pose, self._idle = before @ step, self._idle @ step
             self._since.append((stamp, self.pose))
         self._stamp, self._twist = stamp, twist
         if odometry is not None and math.isfinite(odometry.stamp) and odometry.stamp <= stamp + AHEAD:
+            moved = self.pose
             self._join(odometry)
+            if self.pose is not moved:
+                step = before.inverse() @ self.pose
         if self._known is None:
             del self._since[:-1]
-        return before.inverse() @ self.pose
+        return step
 
     def _join(self, odometry: OdometryPose) -> None:
         known, then = self._known, _between(self._since, odometry.stamp)
@@ -287,14 +292,18 @@ class PoseFilter:
         Raises:
             InvalidValue: If the stamp is not finite or earlier than the last one, or the filter was not started.
         """
-        self._check_clock(stamp)
         before, last = self.pose, self.stamp
-        scale, drift = float(self.systematic[0]), float(self.systematic[1])
-        corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
+        if not (type(stamp) is float and last <= stamp < math.inf):
+            self._check_clock(stamp)
+        scale, drift, _ = self.systematic.tolist()
+        corrected = step
+        if scale != 0.0 or drift != 0.0:
+            corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
         self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._expected)
-        usual, slipped, left = self._errors, self._expected, math.exp(-math.hypot(step.x, step.y) / _SLIP_MEMORY)
+        usual, slipped = self._errors, self._expected
         if slipped is not usual:
+            left = math.exp(-math.hypot(step.x, step.y) / _SLIP_MEMORY)
             self._expected = usual._replace(
                 along=usual.along + left * (slipped.along - usual.along),
                 yaw_per_way=usual.yaw_per_way + left * (slipped.yaw_per_way - usual.yaw_per_way),
@@ -526,7 +535,7 @@ def _grown(
     covariance: FloatArray, before: Pose2, after: Pose2, step: Pose2, period: float, errors: OdometryErrors
 ) -> FloatArray:
     """Return the covariance after a step of odometry, Shape (6, 6)."""
-    way, turn = step.x, normalize_angle(step.yaw)
+    way, turn = step.x, step.yaw if -math.pi < step.yaw <= math.pi else normalize_angle(step.yaw)
     driven, middle = math.hypot(step.x, step.y), before.yaw + 0.5 * turn
     c, s = math.cos(middle), math.sin(middle)
     slope = _IDENTITY.copy()

@@ -518,11 +518,13 @@ class _SampledPath:
         self.places = np.linspace(0.0, path.length, count + 1)
         self._step = path.length / count
         self._poses: list[list[float]] = path.poses_at(self.places).tolist()
+        self._last = count - 1
         self._gears: list[float] = path.direction_at(self.places).astype(np.float64).tolist()
 
     def interval_of(self, s: float) -> int:
         """Return the number of the interval between two sampled poses that contains an arc length [m]."""
-        return min(max(int(s / self._step), 0), len(self._poses) - 2)
+        found = int(s / self._step)
+        return 0 if found < 0 else self._last if found > self._last else found
 
     def at(self, s: float) -> tuple[Pose2, float]:
         """Return the pose and the gear at an arc length [m] of the path."""
