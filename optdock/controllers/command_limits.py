@@ -286,9 +286,10 @@ def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionL
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
     motion, lateral = (speed, rise, jerk), limits.max_lateral_acceleration
     if turn.steered:
+        if amount * rise > (limits.max_yaw_acceleration + fade * max(speed, 0.0)) * _EXACT:
+            return False
         return (
-            amount * rise <= (limits.max_yaw_acceleration + fade * max(speed, 0.0)) * _EXACT
-            and _stays_below(limits.max_wheel_speed, 1, motion, (1.0 + lever * amount, lever * fade))
+            _stays_below(limits.max_wheel_speed, 1, motion, (1.0 + lever * amount, lever * fade))
             and _stays_below(limits.max_yaw_rate, 1, motion, (amount, fade))
             and _stays_below(lateral, 2, motion, (amount, fade))
         )
