@@ -207,7 +207,8 @@ class Kernel:
             raise ValueError(f"{self._symbol}: {len(sizes)} sizes and {len(numbers)} numbers")
         addresses: list[int | bytes] = []
         for array, count in arrays:
-            flags, base = array.flags, array.base
+            flags = array.flags
+            base: object = array.base
             if not flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
                 told = f"{array.dtype} {array.shape}, contiguous: {flags.c_contiguous}"
                 raise ValueError(

@@ -96,7 +96,7 @@ class _CallCounter:
         self._planning: FrameType | None = None  # of a plan within it
         self._codes = DockingExecutor.step.__code__, InlinePlanning.submit.__code__
 
-    def __call__(self, frame: FrameType, event: str, argument: object) -> None:
+    def __call__(self, frame: FrameType, event: str, _: object) -> None:
         step, planning = self._codes
         if event == "return":
             self._leave(frame)

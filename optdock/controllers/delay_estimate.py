@@ -159,9 +159,7 @@ def _advanced_natively(
 
 
 @twin_of(_advanced_natively)
-def advanced(
-    speeds: FloatArray, since: list[float], commands: list[float], begin: float, period: float
-) -> FloatArray:
+def advanced(speeds: FloatArray, since: list[float], commands: list[float], begin: float, period: float) -> FloatArray:
     """Return the speeds of all models after a period, from the commands in force during this period.
 
     Args:

@@ -115,12 +115,11 @@ class LookAhead:
         obstacles = self._near(context, lower, upper)
         clearances = compiled_clearances(way, footprint, obstacles, within=_FAR)[0]
         room = 0.0 if self._around is None else self._around.room(way[0], radius)
-        self._clear = _Clear(*way[0].tolist(), min(float(clearances[0]), room), obstacles)
+        x, y, yaw = way[0].tolist()
+        self._clear = _Clear(x, y, yaw, min(float(clearances[0]), room), obstacles)
         if clearances.min() >= 0.0:
             return None
         rows = obstacles.rows_in_box(lower, upper)
-        if rows.size == 0:
-            return None
         close = box_distance(obstacles.subset(rows), way[:, :2]) < radius
         columns = np.flatnonzero(close.any(axis=0))
         if columns.size == 0:
@@ -187,12 +186,12 @@ class _Around:
     def contains(self, lower: FloatArray, upper: FloatArray) -> bool:
         """Whether a given box lies inside this box."""
         (x, y), (far_x, far_y), (least_x, least_y, most_x, most_y) = lower.tolist(), upper.tolist(), self._box
-        return least_x <= x and least_y <= y and far_x <= most_x and far_y <= most_y
+        return bool(least_x <= x and least_y <= y and far_x <= most_x and far_y <= most_y)
 
     def room(self, pose: FloatArray, radius: float) -> float:
         """Return the distance [m] of a circle around a pose to the border of the box."""
         (x, y, _), (least_x, least_y, most_x, most_y) = pose.tolist(), self._box
-        return min(x - least_x, y - least_y, most_x - x, most_y - y) - radius
+        return float(min(x - least_x, y - least_y, most_x - x, most_y - y)) - radius
 
     def obstacles(self) -> ObstacleSet:
         """Return all obstacles, from the present costmaps."""

@@ -180,7 +180,10 @@ class TrajectoryReference:
             row, then = (MotionRow(*one) for one in motion[:2].tolist())
             self._horizon = previews, motion[2 + later.size :, 1:4]
         else:
-            (row,), motion = self.trajectory.table.rows(self.time), shown.table.at(np.concatenate(((0.0, ahead), later)))
+            (row,), motion = (
+                self.trajectory.table.rows(self.time),
+                shown.table.at(np.concatenate(((0.0, ahead), later))),
+            )
             then = MotionRow(*motion[1].tolist())
             self._horizon = _NO_TIMES, motion[:0, 1:4]
         self._later = shown, ahead, motion[2 : 2 + later.size, _YAW_ACCELERATION]
@@ -204,10 +207,12 @@ class TrajectoryReference:
     def poses_ahead(self, previews: FloatArray) -> FloatArray:
         """Return the poses after `previews`, Shape (n,) [s], at the present rate. Shape (n, 3)."""
         if self._horizon[0] is previews:
-            return self._horizon[1].copy()
+            known: FloatArray = self._horizon[1].copy()
+            return known
         if not self._joints:
             times = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
-            return self.trajectory.table.at(times)[:, 1:4].copy()
+            found: FloatArray = self.trajectory.table.at(times)[:, 1:4].copy()
+            return found
         poses = np.empty((previews.size, 3))
         shown = [self._at(preview) for preview in previews.tolist()]
         for trajectory in dict.fromkeys(each for each, _, _ in shown):

@@ -200,7 +200,7 @@ class CondensedErrors(NamedTuple):
 _CONDENSE = Kernel("optdock_condense", sizes=1, numbers=1)
 
 
-def _condensed_natively(  # noqa: PLR0913, PLR0917 - as the twin
+def _condensed_natively(
     poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
 ) -> CondensedErrors:
     n = h.size
@@ -218,7 +218,7 @@ def _condensed_natively(  # noqa: PLR0913, PLR0917 - as the twin
 
 
 @twin_of(_condensed_natively)
-def condensed(  # noqa: PLR0913, PLR0917 - the data of a horizon
+def condensed(
     poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
 ) -> CondensedErrors:
     """Return the errors over the horizon and their cost.
@@ -250,7 +250,9 @@ class CommandBounds(NamedTuple):
     acceleration: FloatArray  # between the speeds, the first from the last command [m/s^2]
     lateral: FloatArray  # of speed times yaw rate, linearized about the last command and then the nominal ones [m/s^2]
     curvature: FloatArray | None  # of steered wheels [1/m]; None for a differential drive
-    gear: FloatArray | None  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
+    gear: (
+        FloatArray | None
+    )  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
 
 
 class MpcCycle(NamedTuple):

@@ -237,9 +237,7 @@ class Perception:
     def _stored_noise(self) -> FloatArray:
         """Return the covariance of the robot in the frame of the stored dock, which was not detected. Shape (3, 3)."""
         settings = self._settings
-        return covariance_from_dock(
-            self.robot_from_dock, settings.stored_position_sigma, settings.stored_yaw_sigma
-        )
+        return covariance_from_dock(self.robot_from_dock, settings.stored_position_sigma, settings.stored_yaw_sigma)
 
     def _report_lost(self) -> None:
         """Report once when poses or detections are missing, and once when they are available again."""

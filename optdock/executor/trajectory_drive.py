@@ -324,9 +324,8 @@ class TrajectoryDrive:
             if result is not None:
                 self._take_over(result)
             return
-        if self._is_stop or self._next_goal is not None or not settings.replanning:
-            return
-        if not self._is_urgent and not self._shorter_way.is_due and not self._is_check_due:
+        is_asked = self._is_urgent or self._shorter_way.is_due or self._is_check_due
+        if self._is_stop or self._next_goal is not None or not (settings.replanning and is_asked):
             return
         time, rate = self._reference
         if not self._is_urgent:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.clothoid import subdivided
 from optdock.kernels import Kernel, twin_of
 from optdock.model.constant_jerk import constant_jerk
@@ -25,7 +25,9 @@ __all__ = ["MotionRow", "MotionTable", "evaluated"]
 
 _PHASE, _CELL, _NODES = 5, 7, 5  # columns of a phase and of a cell; nodes of the quadrature in a cell
 _MOST_TURNED = 0.5  # [rad] in a cell
-_RULE = np.polynomial.legendre.leggauss(_NODES)  # error below 1e-15 of the length, see `geometry.clothoid`
+_PLACES, _WEIGHTS = map(
+    readonly, np.polynomial.legendre.leggauss(_NODES)
+)  # error below 1e-15 of the length, see `geometry.clothoid`
 
 
 class MotionRow(NamedTuple):
@@ -47,7 +49,7 @@ class MotionRow(NamedTuple):
     curvature: float
 
 
-class MotionTable:
+class MotionTable(FrozenArrays):
     """A trajectory, prepared for its evaluation at a few times.
 
     Args:
@@ -58,14 +60,14 @@ class MotionTable:
         law, path = trajectory.time_law, trajectory.path
         self._ends = law.duration, path.length
         self._trajectory: Trajectory | None = None
-        self._counts, self._table = (0, 0), np.zeros(0)
+        self._counts, self._table = (0, 0), readonly(np.zeros(0))
         if any(isinstance(segment, PolylineSegment) for segment in path.segments):
             self._trajectory = trajectory  # a polyline has no cells
             return
         cells = _cells(path)
         phases = np.column_stack((law.times[:-1], law.states[:-1], law.jerks))
         self._counts = len(phases), len(cells)
-        self._table = readonly(np.concatenate((phases.ravel(), cells.ravel(), 1.0 + _RULE[0], _RULE[1])))
+        self._table = readonly(np.concatenate((phases.ravel(), cells.ravel(), 1.0 + _PLACES, _WEIGHTS)))
 
     def rows(self, *times: float) -> list[MotionRow]:
         """Return the motion at each of the times [s]; see `at`."""
@@ -120,9 +122,7 @@ def _evaluated_natively(
 
 
 @twin_of(_evaluated_natively)
-def evaluated(
-    table: FloatArray, counts: tuple[int, int], ends: tuple[float, float], times: FloatArray
-) -> FloatArray:
+def evaluated(table: FloatArray, counts: tuple[int, int], ends: tuple[float, float], times: FloatArray) -> FloatArray:
     """Return the motion at times; see `MotionTable.at`.
 
     Args:
@@ -141,8 +141,8 @@ def evaluated(
     law, path, places, weights = np.split(table, split)
     law, path = law.reshape(phases, _PHASE), path.reshape(cells, _CELL)
     t = np.minimum(np.maximum(times, 0.0), duration)
-    begin, *state, jerk = law[law[1:, 0].searchsorted(t, side="right")].T
-    s, v, a = constant_jerk(t - begin, *state, jerk)
+    begin, s, v, a, jerk = law[law[1:, 0].searchsorted(t, side="right")].T
+    s, v, a = constant_jerk(t - begin, s, v, a, jerk)
     s = np.minimum(np.maximum(s, 0.0), length)
     begin, x, y, yaw, curvature, rate, gear = path[path[1:, 0].searchsorted(s, side="right")].T
     step = s - begin

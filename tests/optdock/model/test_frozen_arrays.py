@@ -313,6 +313,8 @@ HOLD_NO_ARRAYS = {
     "_prepared",
     "_library",
     "map_digest",
+    "peaks",
+    "radius_of",
 }
 
 
