@@ -72,12 +72,21 @@ class _Clear(NamedTuple):
     obstacles: ObstacleSet
 
 
+class _Touching(NamedTuple):
+    """Poses at which contact is intended, Shape (k, 3), and their distances to the obstacles, Shape (k, m) [m]."""
+
+    obstacles: ObstacleSet
+    contacts: FloatArray
+    distances: FloatArray
+
+
 class LookAhead:
     """Search for obstacles along motions; the obstacles around the robot are cached until they change."""
 
     def __init__(self) -> None:
         self._around: _Around | None = None
         self._clear: _Clear | None = None
+        self._touching: _Touching | None = None
 
     def is_clear(self, context: PluginContext, footprint: Footprint, pose: Pose2, reach: float) -> bool:
         """Whether no motion from `pose` that displaces the footprint by at most `reach` [m] meets an obstacle.
@@ -129,7 +138,7 @@ class LookAhead:
         deepest, before = distance.min(axis=0), distance[0] - _DEEPER
         if bool(np.all(deepest >= np.minimum(0.0, before))):
             return None
-        at_contacts = _distances(footprint, contacts, obstacles, rows)
+        at_contacts = self._at_contacts(footprint, contacts, obstacles)[:, rows]
         touched = (at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)
         off = np.linalg.norm(way[:, None, :2] - contacts[None, :, :2], axis=2)
         meant = np.any((off <= _AT_CONTACT)[:, :, None] & touched, axis=1)
@@ -140,6 +149,14 @@ class LookAhead:
         if not math.isfinite(float(beyond[worst])):
             return None
         return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
+
+    def _at_contacts(self, footprint: Footprint, contacts: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+        """Return the signed distances of the footprint at the contacts to all obstacles, cached. Shape (k, m) [m]."""
+        known = self._touching
+        if known is None or known.obstacles is not obstacles or not np.array_equal(known.contacts, contacts):
+            distances = _distances(footprint, contacts, obstacles, np.arange(len(obstacles)))
+            known = self._touching = _Touching(obstacles, contacts, distances)
+        return known.distances
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """Return the obstacles of the context in and around a box, from the present costmaps."""
