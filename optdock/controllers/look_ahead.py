@@ -14,18 +14,19 @@ import numpy as np
 from optdock.geometry.obstacles import ObstacleSet, box_distance
 from optdock.geometry.pose import arc_end, displacement
 from optdock.geometry.separation import separation
+from optdock.kernels import Kernel, twin_of
 from optdock.model.cell_obstacles import obstacles_from_costmap
 from optdock.plugins.outcomes import CostmapInfoType
-from optdock.verification.clearance_kernel import compiled_clearances
+from optdock.verification.clearance_kernel import packed_footprint
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.model.costmap import Costmap
     from optdock.plugins.lifecycle import PluginContext
 
-__all__ = ["LookAhead", "Obstruction", "stopping_way"]
+__all__ = ["LookAhead", "Obstruction", "near_distances", "radius_of", "stopping_way"]
 
 _SPACING = 0.03  # [m], largest motion of a point of the footprint between two poses
 _DEEPER = 1e-6  # [m], rounding of a depth that does not increase
@@ -122,21 +123,14 @@ class LookAhead:
         radius = radius_of(footprint)
         lower, upper = way[:, :2].min(axis=0) - radius, way[:, :2].max(axis=0) + radius
         obstacles = self._near(context, lower, upper)
-        clearances = compiled_clearances(way, footprint, obstacles, within=_FAR)[0]
+        distance = near_distances(footprint, way, obstacles)
         room = 0.0 if self._around is None else self._around.room(way[0], radius)
         x, y, yaw = way[0].tolist()
-        self._clear = _Clear(x, y, yaw, min(float(clearances[0]), room), obstacles)
-        if clearances.min() >= 0.0:
-            return None
-        rows = obstacles.rows_in_box(lower, upper)
-        close = box_distance(obstacles.subset(rows), way[:, :2]) < radius
-        columns = np.flatnonzero(close.any(axis=0))
-        if columns.size == 0:
-            return None
-        rows = rows[columns]
-        distance = _distances(footprint, way, obstacles, rows)
-        deepest, before = distance.min(axis=0), distance[0] - _DEEPER
-        if bool(np.all(deepest >= np.minimum(0.0, before))):
+        self._clear = _Clear(x, y, yaw, min(float(distance[0].min(initial=_FAR)), room), obstacles)
+        rows = np.flatnonzero(distance.min(axis=0) < 0.0)
+        distance = distance[:, rows]
+        before = distance[0] - _DEEPER
+        if rows.size == 0 or bool(np.all(distance.min(axis=0) >= np.minimum(0.0, before))):
             return None
         at_contacts = self._at_contacts(footprint, contacts, obstacles)[:, rows]
         touched = (at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)
@@ -154,8 +148,7 @@ class LookAhead:
         """Return the signed distances of the footprint at the contacts to all obstacles, cached. Shape (k, m) [m]."""
         known = self._touching
         if known is None or known.obstacles is not obstacles or not np.array_equal(known.contacts, contacts):
-            distances = _distances(footprint, contacts, obstacles, np.arange(len(obstacles)))
-            known = self._touching = _Touching(obstacles, contacts, distances)
+            known = self._touching = _Touching(obstacles, contacts, near_distances(footprint, contacts, obstacles))
         return known.distances
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
@@ -220,9 +213,43 @@ class _Around:
         return self._all
 
 
-def _distances(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet, rows: IntArray) -> FloatArray:
-    """Return the signed distances of the footprint at every pose to every obstacle, Shape (n, m) [m]."""
-    n, m = len(poses), rows.size
-    every, pieces = np.repeat(poses, m, axis=0), obstacles.pieces(np.tile(rows, n))
-    found: FloatArray = np.min([separation(body, every, pieces).distance for body in footprint.bodies], axis=0)
-    return found.reshape(n, m)
+_DISTANCES = Kernel("optdock_near_distances", sizes=4, numbers=1)
+
+
+def _near_distances_natively(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+    robot, n, m, q = packed_footprint(footprint), len(poses), len(obstacles), obstacles.vertices.shape[1]
+    out = np.empty((n, m))
+    arrays = (
+        (robot.sizes, robot.sizes.size),
+        (robot.numbers, robot.numbers.size),
+        (np.ascontiguousarray(poses), 3 * n),
+        (obstacles.vertices, 2 * m * q),
+        (obstacles.normals, 2 * m * q),
+        (obstacles.offsets, m * q),
+        (obstacles.lower, 2 * m),
+        (obstacles.upper, 2 * m),
+        (out, n * m),
+        (np.empty(size := 2 * robot.corners), size),
+    )
+    _DISTANCES((n, m, len(robot.sizes), q), (radius_of(footprint) + _FAR,), arrays)
+    return out
+
+
+@twin_of(_near_distances_natively)
+def near_distances(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+    """Return the signed distances of the footprint at poses to obstacles.
+
+    Args:
+        footprint: The outline.
+        poses: Shape (n, 3).
+        obstacles: m obstacles; may be empty.
+
+    Returns:
+        Shape (n, m) [m]; infinite for pairs that are farther apart than 0.5 m by their bounding box and circle.
+    """
+    found = np.full((n := len(poses), m := len(obstacles)), np.inf)
+    i, o = np.nonzero(box_distance(obstacles, poses[:, :2]) < radius_of(footprint) + _FAR) if n and m else ((), ())
+    if len(i):
+        pieces = obstacles.pieces(o)
+        found[i, o] = np.min([separation(body, poses[i], pieces).distance for body in footprint.bodies], axis=0)
+    return found
