@@ -490,12 +490,14 @@ class TubeMonitor:
         if not self._is_proven:
             return False
         moved = float(displacement(math.hypot(off.x, off.y), off.yaw, self._radius))
-        if not self._is_outside and moved <= self._least_widths[self._poses.interval_of(s)]:
+        if not self._is_outside and (
+            moved <= self._least_widths[self._poses.interval_of(s)]
+            or moved <= float(self._tube.width_at(np.array([s]))[0])
+        ):
             return False
-        width = float(self._tube.width_at(np.array([s]))[0])
-        if moved > width:  # relative to this pose; another pose of the path may be nearer
-            found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
-            moved, width = float(found.displacement[0]), float(found.width[0])
+        # The deviation above is relative to this pose; another pose of the path may be nearer.
+        found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
+        moved, width = float(found.displacement[0]), float(found.width[0])
         is_outside = moved > width
         if is_outside == self._is_outside:
             return False
