@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from optdock.model.limits import MotionLimits
 
-__all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "smooth_slope"]
+__all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "reachable_speed", "smooth_slope"]
 
 _NO_ARC = 1e-9  # [m/s]: the curvature of a slower command is undefined
 _ROUNDING = 1e-15  # [m/s]: a smaller difference to the wanted command counts as zero
@@ -122,21 +122,28 @@ class CommandLimiter:
         slope = self._slope(wanted.linear, feed_forward.linear, period, limits)
         if math.isfinite(room):
             slope = self._stopping_within(room, slope, period, limits)
-        slope = self._leaving_room(slope, turn_at(before + slope * period), period, limits)
-        linear = before + slope * period
-        if abs(linear - wanted.linear) <= _ROUNDING:
-            linear = wanted.linear
-        turned = _turned_within(turn_at(linear), linear, slope, period, limits)
+        linear = _equal_up_to_rounding(before + slope * period, wanted.linear)
+        turn = turn_at(linear)
+        if self._leaves_room(slope, turn, period, limits):
+            turned = turn.wanted
+        else:
+            slope = self._leaving_room(slope, turn, period, limits)
+            linear = _equal_up_to_rounding(before + slope * period, wanted.linear)
+            turned = _turned_within(turn_at(linear), linear, slope, period, limits)
         command = Twist2(linear, turned * linear if steered else turned)
-        if self._feed_forward is not None:
-            self.acceleration, self._period = (command.linear - before) / period, period
-            self._usual = min(period, _SLOWER * self._usual)
-        self._feed_forward, self.command = feed_forward.linear, command
+        self._keep(command, feed_forward.linear, period)
         if steered:
             self.curvature = turned
         elif abs(linear) >= _CREEPING:
             self.curvature = command.angular / linear
         return command
+
+    def _keep(self, command: Twist2, feed_forward: float, period: float) -> None:
+        """Record the command of this period, and the speed of its feed-forward."""
+        if self._feed_forward is not None:
+            self.acceleration, self._period = (command.linear - self.command.linear) / period, period
+            self._usual = min(period, _SLOWER * self._usual)
+        self._feed_forward, self.command = feed_forward, command
 
     def _between(self, period: float) -> float:
         """Return the time [s] between the middles of the last and the present period."""
@@ -147,15 +154,20 @@ class CommandLimiter:
         before = self.command.linear
         if self._feed_forward is None:
             return 0.0  # the age of the last command is unknown
-        slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
-        jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
-        self._feed_slope = slope
+        between = self._between(period)
+        slope, jerk = self._fed_slope(feed_forward, period)
         missing, periods = wanted - slope * period - before, (period, between, min(period, self._usual))
         lasts = (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
         slope = smooth_slope(missing, slope, self.acceleration, limits.max_jerk, periods, (jerk, lasts))
         braking = before != 0.0 and slope * before < 0.0
         most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
         return min(max(slope, -most), most)
+
+    def _fed_slope(self, feed_forward: float, period: float) -> tuple[float, float]:
+        """Return the acceleration and the jerk of the feed-forward, whose last speed is known, and record them."""
+        slope, before = (feed_forward - (self._feed_forward or 0.0)) / period, self._feed_slope
+        self._feed_slope = slope
+        return slope, 0.0 if before is None else (slope - before) / self._between(period)
 
     def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
         """Return the acceleration, reduced within the jerk limit to stop in `room` without reversing."""
@@ -175,14 +187,30 @@ class CommandLimiter:
             found = max(found, min(-_fastest(speed, limits.max_jerk, period, usual) - step, most))
         return forward * found
 
+    def _leaves_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> bool:
+        """Whether an acceleration and the desired turn satisfy the limits on speed and turn."""
+        rise, amount = abs(slope), abs(turn.wanted)
+        after = math.copysign(1.0, slope) * self.command.linear + rise * period
+        return (
+            rise <= self._most_rise(slope, turn, period, limits)
+            and _fits(after, rise - 0.5 * limits.max_jerk * period, amount, turn, limits)
+            and (after >= 0.0 or _fits(-after, 0.0, amount, turn, limits))
+        )
+
+    def _most_rise(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
+        """Return the largest acceleration in the direction of `slope` within the limits of speed and yaw rate."""
+        forward = math.copysign(1.0, slope)
+        speed = forward * self.command.linear  # negative: the speed decreases towards rest
+        top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
+        most = _rise_to(top - speed, limits.max_jerk, period)
+        if turn.steered and turn.least != 0.0:
+            most = min(most, (limits.max_yaw_acceleration + turn.fade * max(speed, 0.0)) / abs(turn.least))
+        return most
+
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
         """Return the acceleration, reduced to the limits on speed and turn as far as the jerk limit permits."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
-        speed = forward * self.command.linear  # negative: the speed decreases towards rest
-        top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
-        most = min(rise, _rise_to(top - speed, limits.max_jerk, period))
-        if turn.steered and turn.least != 0.0:
-            most = min(most, (limits.max_yaw_acceleration + turn.fade * max(speed, 0.0)) / abs(turn.least))
+        speed, most = forward * self.command.linear, min(rise, self._most_rise(slope, turn, period, limits))
         least = max(forward * self.acceleration - limits.max_jerk * self._between(period), 0.0)
         return forward * _largest(
             lambda rise: _fits(
@@ -256,25 +284,25 @@ def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionL
     acceleration. `amount` is the magnitude of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
-    shared: tuple[tuple[int, float, float, float], ...]
-    shared = ((1, amount, fade, limits.max_lateral_acceleration),)
+    motion, lateral = (speed, rise, jerk), limits.max_lateral_acceleration
     if turn.steered:
         if amount * rise > (limits.max_yaw_acceleration + fade * max(speed, 0.0)) * _EXACT:
             return False
-        shared = (
-            (1, 1.0 + lever * amount, lever * fade, limits.max_wheel_speed),
-            (1, amount, fade, limits.max_yaw_rate),
-            (2, amount, fade, limits.max_lateral_acceleration),
+        return (
+            _stays_below(limits.max_wheel_speed, 1, motion, (1.0 + lever * amount, lever * fade))
+            and _stays_below(limits.max_yaw_rate, 1, motion, (amount, fade))
+            and _stays_below(lateral, 2, motion, (amount, fade))
         )
-    else:
-        later = max(rise - lever * fade, 0.0) if lever > 0.0 else 0.0
-        rim = speed + later * later / (2.0 * jerk) + lever * amount
-        if amount > limits.max_yaw_rate * _EXACT or rim > limits.max_wheel_speed * _EXACT:
-            return False
-    return all(
-        math.isinf(bound) or _peak(power, (speed, rise, jerk), (turned, less)) <= bound * _EXACT
-        for power, turned, less, bound in shared
-    )
+    later = max(rise - lever * fade, 0.0) if lever > 0.0 else 0.0
+    rim = speed + later * later / (2.0 * jerk) + lever * amount
+    if amount > limits.max_yaw_rate * _EXACT or rim > limits.max_wheel_speed * _EXACT:
+        return False
+    return _stays_below(lateral, 1, motion, (amount, fade))
+
+
+def _stays_below(bound: float, power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> bool:
+    """Whether the maximum of `_peak` is within a bound."""
+    return math.isinf(bound) or _peak(power, speed, turn) <= bound * _EXACT
 
 
 def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> float:
@@ -396,14 +424,20 @@ def fastest_slope(gap: float, jerk: float, period: float) -> float:
     return step * (0.5 * n + units / (n + 1))
 
 
-def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
-    """Return the command nearest to `wanted` that is reachable from `previous` in `period` [s], without a jerk limit.
+def reachable_speed(before: float, wanted: float, limits: MotionLimits, period: float) -> float:
+    """Return the speed nearest to `wanted` that is reachable from `before` in `period` [s], without a jerk limit.
 
     Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
     """
-    linear = _approach(
-        previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
-    )
+    return _approach(before, wanted, limits.max_acceleration * period, limits.max_deceleration * period)
+
+
+def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
+    """Return the command nearest to `wanted` that is reachable from `previous` in `period` [s], without a jerk limit.
+
+    The speed is that of `reachable_speed`.
+    """
+    linear = reachable_speed(previous.linear, wanted.linear, limits, period)
     turn = limits.max_yaw_acceleration * period
     eased = _eased(wanted.angular, previous, linear, period, limits)
     return Twist2(linear, _approach(previous.angular, eased, turn, turn))
@@ -430,13 +464,23 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
     return value + min(max(target - value, -bound), bound)
 
 
+def _equal_up_to_rounding(speed: float, wanted: float) -> float:
+    return wanted if abs(speed - wanted) <= _ROUNDING else speed
+
+
 def _on_its_arc(wanted: Twist2, linear: float, curvature: float) -> float:
     """Return the yaw rate at the speed `linear` that preserves the curvature of `wanted`, if the speeds are similar."""
     share = linear / wanted.linear if wanted.linear != 0.0 else 1.0
-    return _bent(Twist2(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0)), curvature).angular
+    return _bent_rate(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0), curvature)
 
 
 def _bent(command: Twist2, curvature: float) -> Twist2:
     """Return the command with its curvature limited."""
-    most = curvature * abs(command.linear) if command.linear != 0.0 else 0.0
-    return Twist2(command.linear, min(max(command.angular, -most), most))
+    angular = _bent_rate(command.linear, command.angular, curvature)
+    return command if angular == command.angular else Twist2(command.linear, angular)
+
+
+def _bent_rate(linear: float, angular: float, curvature: float) -> float:
+    """Return the yaw rate, limited to that of a curvature at a speed."""
+    most = curvature * abs(linear) if linear != 0.0 else 0.0
+    return min(max(angular, -most), most)

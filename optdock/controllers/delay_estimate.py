@@ -10,11 +10,13 @@ import numpy as np
 from optdock.errors import NoValidControl
 from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
     from optdock.plugins.lifecycle import PluginContext
 
-__all__ = ["ControlClock", "DelayEstimate"]
+__all__ = ["ControlClock", "DelayEstimate", "advanced"]
 
 _FIRST = 0.005  # [s]: assumed before the first call, so that its command is also admissible at 200 Hz
 _LONGEST = 0.5  # [s]: after a longer silence the response to the last command is unknown
@@ -24,6 +26,7 @@ _SMOOTHING = 0.2  # weight of the newest period in the filtered period
 _LONGEST_LATENCY = 0.2  # [s]
 _LATENCIES = readonly(np.linspace(0.0, _LONGEST_LATENCY, 11))  # [s], of the models
 _LAGS = readonly(np.linspace(0.0, 0.3, 13))  # [s], of the models
+_MODELS = readonly(np.concatenate((_LATENCIES, _LAGS)))
 _DELAYS = readonly(_LATENCIES[:, None] + _LAGS)
 _MOVING = 0.01  # [m/s]: slower measurements are ignored: the drive is held, or its speed is not measured
 _MEMORY = 3.0  # [s], time constant of forgetting
@@ -105,6 +108,7 @@ class DelayEstimate:
         self._now = 0.0
         self._since = [-_LONGEST_LATENCY]  # times of the commands [s], the oldest first
         self._commands = [0.0]  # [m/s]
+        self._share_of_lag = 0.0
         self._speeds = np.zeros((_LATENCIES.size, _LAGS.size))
         self._misfit = np.zeros(self._speeds.shape)
         self._best = 0
@@ -112,8 +116,7 @@ class DelayEstimate:
     @property
     def latency_and_lag(self) -> tuple[float, float]:
         """Latency and lag [s]: the delay, divided in the same ratio as in the best model."""
-        whole = float(_DELAYS.flat[self._best])
-        lag = self.delay * float(_LAGS[self._best % _LAGS.size]) / whole if whole > 0.0 else 0.0
+        lag = self.delay * self._share_of_lag
         return self.delay - lag, lag
 
     def update(self, command: float, speed: float, period: float) -> None:
@@ -125,31 +128,59 @@ class DelayEstimate:
         begin, self._now = self._now, self._now + period
         while len(self._since) > 2 and self._since[1] <= begin - _LONGEST_LATENCY:
             del self._since[0], self._commands[0]
-        self._simulate(begin, period)
+        self._speeds = advanced(self._speeds, self._since, self._commands, begin, period)
         if abs(speed) < _MOVING:
             return
-        self._misfit *= math.exp(-period / _MEMORY)
-        self._misfit += period * (self._speeds - speed) ** 2
-        best = int(np.argmin(self._misfit))
-        if float(self._misfit.flat[best]) < _BETTER * float(self._misfit.flat[self._best]):
+        misfit = self._misfit
+        misfit *= math.exp(-period / _MEMORY)
+        misfit += period * (self._speeds - speed) ** 2
+        best = int(misfit.argmin())
+        if misfit.item(best) < _BETTER * misfit.item(self._best):
             self._best = best
-        convincing = float(self._misfit.max()) - float(self._misfit.flat[best]) > _EVIDENCE
-        wanted = float(_DELAYS.flat[self._best]) if convincing else self.delay
+            whole = _DELAYS.item(best)
+            self._share_of_lag = _LAGS.item(best % _LAGS.size) / whole if whole > 0.0 else 0.0
+        convincing = float(misfit.max()) - misfit.item(best) > _EVIDENCE
+        wanted = _DELAYS.item(self._best) if convincing else self.delay
         step = _SLEW * period
         self.delay += min(max(wanted - self.delay, -step), step)
 
-    def _simulate(self, begin: float, period: float) -> None:
-        """Advance every model by one period, with the commands in force during this period."""
-        since, commands = np.array(self._since), np.array(self._commands)
-        start, end = begin - _LATENCIES, begin - _LATENCIES + period
-        first = np.searchsorted(since, start, side="right") - 1
-        last = np.searchsorted(since, end, side="left") - 1
-        at = start
-        for k in range(int(np.max(last - first)) + 1):
-            row = np.minimum(first + k, last)
-            until = np.where(row >= last, end, np.append(since, np.inf)[row + 1])
-            time = np.maximum(until - at, 0.0)[:, None]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                decay = np.where(time > 0.0, np.exp(-time / _LAGS), 1.0)
-            self._speeds = decay * self._speeds + (1.0 - decay) * commands[row][:, None]
-            at = until
+
+_ADVANCE = Kernel("optdock_delayed_speeds", sizes=3, numbers=2)
+
+
+def _advanced_natively(
+    speeds: FloatArray, since: list[float], commands: list[float], begin: float, period: float
+) -> FloatArray:
+    (latencies, lags), given = speeds.shape, len(since)
+    out, history = np.empty(speeds.shape), np.array(since + commands)
+    arrays = (speeds, speeds.size), (history, 2 * given), (_MODELS, latencies + lags), (out, out.size)
+    _ADVANCE((latencies, lags, given), (begin, period), arrays)
+    return out
+
+
+@twin_of(_advanced_natively)
+def advanced(speeds: FloatArray, since: list[float], commands: list[float], begin: float, period: float) -> FloatArray:
+    """Return the speeds of all models after a period, from the commands in force during this period.
+
+    Args:
+        speeds: Speeds at the begin, Shape (latencies, lags) [m/s].
+        since: Times at which the commands came into force, ascending; the first is not later than the begin minus the
+            longest latency [s].
+        commands: Speeds that were commanded [m/s].
+        begin: Begin of the period [s].
+        period: Duration of the period [s].
+    """
+    times, values = np.array(since), np.array(commands)
+    start, end = begin - _LATENCIES, begin - _LATENCIES + period
+    first = np.searchsorted(times, start, side="right") - 1
+    last = np.searchsorted(times, end, side="left") - 1
+    at = start
+    for k in range(int(np.max(last - first)) + 1):
+        row = np.minimum(first + k, last)
+        until = np.where(row >= last, end, np.append(times, np.inf)[row + 1])
+        time = np.maximum(until - at, 0.0)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            decay = np.where(time > 0.0, np.exp(-time / _LAGS), 1.0)
+        speeds = decay * speeds + (1.0 - decay) * values[row][:, None]
+        at = until
+    return speeds

@@ -5,29 +5,34 @@ The motion consists of the commands that the drive has not yet executed, one per
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.obstacles import ObstacleSet, box_distance
+from optdock.geometry.pose import arc_end, displacement
 from optdock.geometry.separation import separation
+from optdock.kernels import Kernel, twin_of
 from optdock.model.cell_obstacles import obstacles_from_costmap
 from optdock.plugins.outcomes import CostmapInfoType
+from optdock.verification.clearance_kernel import packed_footprint
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.model.costmap import Costmap
     from optdock.plugins.lifecycle import PluginContext
 
-__all__ = ["LookAhead", "Obstruction", "stopping_way"]
+__all__ = ["LookAhead", "Obstruction", "near_distances", "radius_of", "stopping_way"]
 
 _SPACING = 0.03  # [m], largest motion of a point of the footprint between two poses
 _DEEPER = 1e-6  # [m], rounding of a depth that does not increase
 _TOUCHING = 1e-3  # [m], largest distance of a contact
 _AT_CONTACT = 0.1  # [m], distance from the pose of an intended contact, above noise and overshoot
+_FAR = 0.5  # [m]: larger clearances are not computed
 _MARGIN = 0.5  # [m] around the motion in which obstacles are cached between calls
 
 
@@ -40,15 +45,40 @@ class Obstruction(NamedTuple):
 
 def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:
     """Return poses along successive arcs from `pose`; each arc is a velocity and a duration [s]. Shape (n, 3)."""
-    radius, poses = footprint.circumscribed_radius, [(pose.x, pose.y, pose.yaw)]
+    radius, (x, y, yaw) = radius_of(footprint), (pose.x, pose.y, pose.yaw)
+    poses = [(x, y, yaw)]
     for twist, duration in phases:
         reach = duration * (abs(twist.linear) + radius * abs(twist.angular))
-        count = math.ceil(reach / _SPACING)
-        for k in range(1, count + 1):
-            then = pose.moved(twist, duration * k / count)
-            poses.append((then.x, then.y, then.yaw))
-        pose = pose.moved(twist, duration)
+        velocity, count = (twist.linear, twist.angular, twist.lateral), math.ceil(reach / _SPACING)
+        poses += [arc_end(x, y, yaw, velocity, duration * k / count) for k in range(1, count)]
+        x, y, yaw = arc_end(x, y, yaw, velocity, duration)
+        if count > 0:
+            poses.append((x, y, yaw))
     return np.array(poses)
+
+
+@functools.lru_cache(maxsize=8)
+def radius_of(footprint: Footprint) -> float:
+    """Return `Footprint.circumscribed_radius` [m], cached."""
+    return footprint.circumscribed_radius
+
+
+class _Clear(NamedTuple):
+    """Pose at which the footprint has at least a clearance [m] from all obstacles; `obstacles`: those of the box."""
+
+    x: float
+    y: float
+    yaw: float
+    clearance: float
+    obstacles: ObstacleSet
+
+
+class _Touching(NamedTuple):
+    """Poses at which contact is intended, Shape (k, 3), and their distances to the obstacles, Shape (k, m) [m]."""
+
+    obstacles: ObstacleSet
+    contacts: FloatArray
+    distances: FloatArray
 
 
 class LookAhead:
@@ -56,6 +86,20 @@ class LookAhead:
 
     def __init__(self) -> None:
         self._around: _Around | None = None
+        self._clear: _Clear | None = None
+        self._touching: _Touching | None = None
+
+    def is_clear(self, context: PluginContext, footprint: Footprint, pose: Pose2, reach: float) -> bool:
+        """Whether no motion from `pose` that displaces the footprint by at most `reach` [m] meets an obstacle.
+
+        Only the clearance found by the last call of `obstruction` is used, so False means unknown.
+        """
+        clear, around = self._clear, self._around
+        if clear is None or around is None or around.context is not context:
+            return False
+        off = math.hypot(pose.x - clear.x, pose.y - clear.y)
+        moved = float(displacement(off, pose.yaw - clear.yaw, radius_of(footprint)))
+        return moved + reach < clear.clearance and around.obstacles() is clear.obstacles
 
     def obstruction(
         self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
@@ -76,22 +120,19 @@ class LookAhead:
         footprint = context.footprint
         if footprint is None:
             return None
-        radius = footprint.circumscribed_radius
+        radius = radius_of(footprint)
         lower, upper = way[:, :2].min(axis=0) - radius, way[:, :2].max(axis=0) + radius
         obstacles = self._near(context, lower, upper)
-        rows = obstacles.rows_in_box(lower, upper)
-        if rows.size == 0:
+        distance = near_distances(footprint, way, obstacles)
+        room = 0.0 if self._around is None else self._around.room(way[0], radius)
+        x, y, yaw = way[0].tolist()
+        self._clear = _Clear(x, y, yaw, min(float(distance[0].min(initial=_FAR)), room), obstacles)
+        rows = np.flatnonzero(distance.min(axis=0) < 0.0)
+        distance = distance[:, rows]
+        before = distance[0] - _DEEPER
+        if rows.size == 0 or bool(np.all(distance.min(axis=0) >= np.minimum(0.0, before))):
             return None
-        close = box_distance(obstacles.subset(rows), way[:, :2]) < radius
-        columns = np.flatnonzero(close.any(axis=0))
-        if columns.size == 0:
-            return None
-        rows = rows[columns]
-        distance = _distances(footprint, way, obstacles, rows)
-        deepest, before = distance.min(axis=0), distance[0] - _DEEPER
-        if bool(np.all(deepest >= np.minimum(0.0, before))):
-            return None
-        at_contacts = _distances(footprint, contacts, obstacles, rows)
+        at_contacts = self._at_contacts(footprint, contacts, obstacles)[:, rows]
         touched = (at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)
         off = np.linalg.norm(way[:, None, :2] - contacts[None, :, :2], axis=2)
         meant = np.any((off <= _AT_CONTACT)[:, :, None] & touched, axis=1)
@@ -102,6 +143,13 @@ class LookAhead:
         if not math.isfinite(float(beyond[worst])):
             return None
         return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
+
+    def _at_contacts(self, footprint: Footprint, contacts: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+        """Return the signed distances of the footprint at the contacts to all obstacles, cached. Shape (k, m) [m]."""
+        known = self._touching
+        if known is None or known.obstacles is not obstacles or not np.array_equal(known.contacts, contacts):
+            known = self._touching = _Touching(obstacles, contacts, near_distances(footprint, contacts, obstacles))
+        return known.distances
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """Return the obstacles of the context in and around a box, from the present costmaps."""
@@ -136,7 +184,7 @@ class _Around:
     """Obstacles of a context that lie in a box, cached until they change."""
 
     def __init__(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> None:
-        self.context, self._lower, self._upper = context, lower, upper
+        self.context, self._box = context, (*lower.tolist(), *upper.tolist())
         problem = context.problem
         self._fixed = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
         own = None if problem is None else problem.costmap
@@ -147,7 +195,13 @@ class _Around:
 
     def contains(self, lower: FloatArray, upper: FloatArray) -> bool:
         """Whether a given box lies inside this box."""
-        return bool(np.all(self._lower <= lower) and np.all(upper <= self._upper))
+        (x, y), (far_x, far_y), (least_x, least_y, most_x, most_y) = lower.tolist(), upper.tolist(), self._box
+        return bool(least_x <= x and least_y <= y and far_x <= most_x and far_y <= most_y)
+
+    def room(self, pose: FloatArray, radius: float) -> float:
+        """Return the distance [m] of a circle around a pose to the border of the box."""
+        (x, y, _), (least_x, least_y, most_x, most_y) = pose.tolist(), self._box
+        return float(min(x - least_x, y - least_y, most_x - x, most_y - y)) - radius
 
     def obstacles(self) -> ObstacleSet:
         """Return all obstacles, from the present costmaps."""
@@ -159,9 +213,43 @@ class _Around:
         return self._all
 
 
-def _distances(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet, rows: IntArray) -> FloatArray:
-    """Return the signed distances of the footprint at every pose to every obstacle, Shape (n, m) [m]."""
-    n, m = len(poses), rows.size
-    every, pieces = np.repeat(poses, m, axis=0), obstacles.pieces(np.tile(rows, n))
-    found: FloatArray = np.min([separation(body, every, pieces).distance for body in footprint.bodies], axis=0)
-    return found.reshape(n, m)
+_DISTANCES = Kernel("optdock_near_distances", sizes=4, numbers=1)
+
+
+def _near_distances_natively(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+    robot, n, m, q = packed_footprint(footprint), len(poses), len(obstacles), obstacles.vertices.shape[1]
+    out = np.empty((n, m))
+    arrays = (
+        (robot.sizes, robot.sizes.size),
+        (robot.numbers, robot.numbers.size),
+        (np.ascontiguousarray(poses), 3 * n),
+        (obstacles.vertices, 2 * m * q),
+        (obstacles.normals, 2 * m * q),
+        (obstacles.offsets, m * q),
+        (obstacles.lower, 2 * m),
+        (obstacles.upper, 2 * m),
+        (out, n * m),
+        (np.empty(size := 2 * robot.corners), size),
+    )
+    _DISTANCES((n, m, len(robot.sizes), q), (radius_of(footprint) + _FAR,), arrays)
+    return out
+
+
+@twin_of(_near_distances_natively)
+def near_distances(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+    """Return the signed distances of the footprint at poses to obstacles.
+
+    Args:
+        footprint: The outline.
+        poses: Shape (n, 3).
+        obstacles: m obstacles; may be empty.
+
+    Returns:
+        Shape (n, m) [m]; infinite for pairs that are farther apart than 0.5 m by their bounding box and circle.
+    """
+    found = np.full((n := len(poses), m := len(obstacles)), np.inf)
+    i, o = np.nonzero(box_distance(obstacles, poses[:, :2]) < radius_of(footprint) + _FAR) if n and m else ((), ())
+    if len(i):
+        pieces = obstacles.pieces(o)
+        found[i, o] = np.min([separation(body, poses[i], pieces).distance for body in footprint.bodies], axis=0)
+    return found

@@ -6,6 +6,7 @@ trajectory.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,8 +15,8 @@ import numpy as np
 from optdock.controllers.command_limits import smooth_slope
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.motion_table import MotionRow
 from optdock.model.robot import Drive
-from optdock.model.trajectory import TrajectorySamples
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -29,7 +30,9 @@ _STEADY = 1e-3  # [1/s]: a slower change of the rate counts as zero
 _AT_START = 0.05  # [m]: a robot within this distance of the start begins there
 _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
+_YAW_ACCELERATION = MotionRow._fields.index("yaw_acceleration")
 _LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can decrease
+_NO_TIMES = readonly(np.zeros(0))
 _SAMPLES = 400  # for the nearest point
 _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 
@@ -93,7 +96,7 @@ class _Joint(NamedTuple):
 
 def _joint(before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
     begins = abs(trajectory.time_law.start_speed)
-    speed = abs(float(before.sample_at(time).speed[0])) if 0.0 <= time < before.duration else 0.0
+    speed = abs(before.table.rows(time)[0].speed) if 0.0 <= time < before.duration else 0.0
     return _Joint(time, trajectory, speed / begins if begins > _AT_REST else math.inf)
 
 
@@ -113,6 +116,9 @@ class TrajectoryReference:
         self._preview = 0.0
         self._slope = 0.0  # of the rate [1/s]
         self._joints: list[_Joint] = []
+        # Results of the last call of `state`: poses at its previews, and the yaw accelerations after the preview.
+        self._horizon = _NO_TIMES, np.zeros((0, 3))
+        self._later: tuple[Trajectory, float, FloatArray] = (trajectory, math.nan, _NO_TIMES)
 
     @property
     def finished(self) -> bool:
@@ -160,43 +166,58 @@ class TrajectoryReference:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
 
-    def state(self) -> ReferenceState:
-        """Return the reference now and after the preview, at the present rate."""
+    def state(self, previews: FloatArray = _NO_TIMES) -> ReferenceState:
+        """Return the reference now and after the preview, at the present rate.
+
+        Args:
+            previews: Times ahead [s] for which `poses_ahead` will be called; they are evaluated in the same pass.
+        """
         shown, ahead, rate = self._at(self._preview)
-        if shown is self.trajectory:
-            both = shown.sample_at((self.time, ahead))
-            row, then = (TrajectorySamples(*(column[k : k + 1] for column in both)) for k in (0, 1))
+        later = ahead + _LOOK_AHEAD
+        if shown is self.trajectory and not self._joints:
+            horizon = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
+            motion = shown.table.at(np.concatenate(((self.time, ahead), later, horizon)))
+            row, then = (MotionRow(*one) for one in motion[:2].tolist())
+            self._horizon = previews, motion[2 + later.size :, 1:4]
         else:
-            row, then = self.trajectory.sample_at(self.time), shown.sample_at(ahead)
-        gear, turn = _travel(self.trajectory, row)
-        gear_then, turn_then = _travel(shown, then)
+            (row,), motion = (
+                self.trajectory.table.rows(self.time),
+                shown.table.at(np.concatenate(((0.0, ahead), later))),
+            )
+            then = MotionRow(*motion[1].tolist())
+            self._horizon = _NO_TIMES, motion[:0, 1:4]
+        self._later = shown, ahead, motion[2 : 2 + later.size, _YAW_ACCELERATION]
+        gear, turn = _travel(row)
+        gear_then, turn_then = _travel(then)
         share = rate if 0.0 <= ahead < shown.duration else 0.0
-        speed, yaw_rate = float(then.speed[0]), float(then.yaw_rate[0])
         return ReferenceState(
-            pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
+            pose=Pose2(row.x, row.y, row.yaw),
             gear=gear,
             turn=turn,
             ahead=Ahead(
-                twist=Twist2(share * speed, share * yaw_rate),
-                speed=abs(speed) + turn_then * yaw_rate if share else 0.0,
-                acceleration=gear_then * float(then.acceleration[0]) + turn_then * float(then.yaw_acceleration[0]),
+                twist=Twist2(share * then.speed, share * then.yaw_rate),
+                speed=abs(then.speed) + turn_then * then.yaw_rate if share else 0.0,
+                acceleration=gear_then * then.acceleration + turn_then * then.yaw_acceleration,
                 gear=gear_then,
-                left=shown.path.length - float(then.s[0]),
-                to_rest=_next_rest(shown, float(then.s[0])) - float(then.s[0]),
+                left=shown.path.length - then.s,
+                to_rest=_next_rest(shown, then.s) - then.s,
             ),
         )
 
     def poses_ahead(self, previews: FloatArray) -> FloatArray:
-        """Return the poses after `previews`, Shape (n,) [s], at the present rate; yaw continuous. Shape (n, 3)."""
+        """Return the poses after `previews`, Shape (n,) [s], at the present rate. Shape (n, 3)."""
+        if self._horizon[0] is previews:
+            known: FloatArray = self._horizon[1].copy()
+            return known
         if not self._joints:
-            poses = _poses(self.trajectory, self.time + (self.rate if self.time >= 0.0 else 1.0) * previews)
-        else:
-            poses = np.empty((previews.size, 3))
-            shown = [self._at(float(preview)) for preview in previews]
-            for trajectory in dict.fromkeys(each for each, _, _ in shown):
-                mine = [k for k, (each, _, _) in enumerate(shown) if each is trajectory]
-                poses[mine] = _poses(trajectory, np.array([shown[k][1] for k in mine]))
-        poses[:, 2] = np.unwrap(poses[:, 2])
+            times = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
+            found: FloatArray = self.trajectory.table.at(times)[:, 1:4].copy()
+            return found
+        poses = np.empty((previews.size, 3))
+        shown = [self._at(preview) for preview in previews.tolist()]
+        for trajectory in dict.fromkeys(each for each, _, _ in shown):
+            mine = [k for k, (each, _, _) in enumerate(shown) if each is trajectory]
+            poses[mine] = trajectory.table.at(np.array([shown[k][1] for k in mine]))[:, 1:4]
         return poses
 
     def trajectory_ahead(self, preview: float) -> tuple[Trajectory, float]:
@@ -207,8 +228,10 @@ class TrajectoryReference:
     def peak_yaw_acceleration(self) -> float:
         """Return the largest yaw acceleration [rad/s^2], at rate 1, of the commands now and in the next 0.3 s."""
         shown, time, _ = self._at(self._preview)
-        ahead = np.clip(time + _LOOK_AHEAD, 0.0, shown.duration)
-        return float(np.max(np.abs(shown.sample_at(ahead).yaw_acceleration)))
+        known, at, found = self._later
+        if known is not shown or at != time:  # unless `state` has evaluated them
+            found = shown.table.at(time + _LOOK_AHEAD)[:, _YAW_ACCELERATION]
+        return float(np.abs(found).max())
 
     def next_arc(self) -> Twist2:
         """Return direction and curvature of the path at the commands as a twist; at a cusp, values of the next gear."""
@@ -241,7 +264,7 @@ class TrajectoryReference:
     @staticmethod
     def _place(trajectory: Trajectory, time: float) -> float:
         """Return the distance [m] along a trajectory at a time on its clock."""
-        return float(trajectory.time_law.at(time)[0, 0])
+        return trajectory.time_law.state_at(time)[0]
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of the first gear if the robot is not at the start.
@@ -320,24 +343,18 @@ class TrajectoryReference:
         return shown, time, rate
 
 
-def _poses(trajectory: Trajectory, times: FloatArray) -> FloatArray:
-    """Return the poses of a trajectory at `times`, Shape (n,) [s], clipped to the path. Shape (n, 3)."""
-    s = trajectory.time_law.at(times)[:, 0]
-    return trajectory.path.poses_at(np.minimum(np.maximum(s, 0.0), trajectory.path.length))
-
-
 def _next_rest(trajectory: Trajectory, s: float) -> float:
     """Return the arc length of the next cusp beyond `s`, or of the end [m]."""
     return next((cusp for cusp in trajectory.path.cusps if cusp > s + _BEYOND), trajectory.path.length)
 
 
-def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, float]:
+def _travel(row: MotionRow) -> tuple[float, float]:
     """Return the gear and the turn of a `ReferenceState`."""
-    path, speed = trajectory.path, float(row.speed[0])
-    gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
-    return gear, math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
+    gear = math.copysign(1.0, row.speed) if abs(row.speed) > _AT_REST else row.gear
+    return gear, math.copysign(1.0, row.curvature) if gear == 0.0 else 0.0
 
 
+@functools.lru_cache(maxsize=8)
 def peaks(trajectory: Trajectory) -> tuple[float, float]:
     """Return the largest speed and acceleration outside of turns in place [m/s, m/s^2].
 

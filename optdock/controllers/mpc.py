@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from bisect import bisect_left, bisect_right
 from collections import deque
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,21 +12,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from optdock.controllers.command_limits import CommandLimiter, fastest_slope, rate_limited
+from optdock.controllers.command_limits import CommandLimiter, fastest_slope, rate_limited, reachable_speed
 from optdock.controllers.moving_reference import ReferenceState, TrajectoryReference, peaks
 from optdock.controllers.mpc_program import (
     CommandBounds,
     MpcCycle,
     MpcWeights,
     TrackingProgram,
-    arcs_between,
-    predicted,
-    riccati_back,
-    step_matrices,
+    condensed,
+    cost_to_go,
 )
 from optdock.controllers.tracking_controller import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
-from optdock.geometry.pose import Pose2, Twist2
+from optdock.geometry.pose import Pose2, Twist2, arc_end
 from optdock.model.constant_jerk import braking_time
 from optdock.model.robot import Drive, TrackingTube, admissible
 
@@ -95,11 +95,39 @@ class MpcStatus(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """Commands of a cycle solved at `stamp`, Shape (n, 2), and the time at which each begins, Shape (n,) [s]."""
+    """Commands of a cycle solved at `stamp`, Shape (n, 2), and the time after it at which each begins [s]."""
 
     stamp: float
-    times: FloatArray
+    times: list[float]
     commands: FloatArray
+
+
+class _CostToGo(NamedTuple):
+    """Cost matrices of a trajectory, Shape (n, 3, 3), at times on its clock [s]."""
+
+    times: list[float]
+    matrices: FloatArray
+
+
+class _Grid(NamedTuple):
+    """Steps of the horizon.
+
+    `times`: borders of the n steps [s]; `steps`: their lengths, Shape (n,) [s]; `previews`: times of the reference
+    poses that the program uses, Shape (2 n + 2,) [s].
+    """
+
+    times: list[float]
+    steps: FloatArray
+    previews: FloatArray
+
+
+class _Built(NamedTuple):
+    """Parameters and data of the robot for which the program was built, and the weights of the errors per second."""
+
+    parameters: MpcControllerParameters
+    tube: tuple[float, float] | None
+    is_ackermann: bool
+    weights: FloatArray
 
 
 class MpcController(TrackingController):
@@ -134,18 +162,18 @@ class MpcController(TrackingController):
         super().__init__(**parameters)
         self.status = MpcStatus(CycleOutcome.SOLVED, 0.0)
         self._program: TrackingProgram | None = None
-        self._built_for: MpcControllerParameters | None = None
+        self._built: _Built | None = None
         self._horizon = self.parameters.horizon
-        self._to_go: dict[Trajectory, tuple[FloatArray, FloatArray]] = {}
+        self._grid: _Grid | None = None
+        self._to_go: dict[Trajectory, _CostToGo] = {}
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
         self._plan: _Plan | None = None
-        self._nominal: FloatArray | None = None  # nominal command of the last cycle
+        self._nominal: tuple[float, float] | None = None  # nominal command of the last cycle
         self._limiter: _ProgramLimiter = _ProgramLimiter()
 
     def on_configure(self) -> None:
         """Build the program and load the solver in advance, because this takes longer than a cycle."""
-        self._built_for = None
         self._prepare()
 
     def reset(self) -> None:
@@ -162,16 +190,17 @@ class MpcController(TrackingController):
         self._prepare()
 
     def _prepare(self) -> None:
-        """Build the program after a change of parameters, and compute the missing costs to go."""
-        p = self.parameters
-        if self._built_for is not p:
-            ackermann = self._drive is Drive.ACKERMANN
-            self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=self._tube is not None)
-            self._built_for = p
+        """Build the program after a change of parameters or robot, and compute the missing costs to go."""
+        p, tube, is_ackermann = self.parameters, self._tube, self._drive is Drive.ACKERMANN
+        built = self._built
+        if built is None or built.parameters is not p or (built.tube, built.is_ackermann) != (tube, is_ackermann):
+            weights = self._weights
+            self._program = TrackingProgram(p.steps, weights, ackermann=is_ackermann, in_tube=tube is not None)
+            self._built = _Built(p, tube, is_ackermann, weights.errors)
             self._to_go.clear()
         self._horizon = p.horizon
         if self._reference is not None:
-            live = self._reference.trajectory, self._reference.last
+            live = dict.fromkeys((self._reference.trajectory, self._reference.last))
             self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
             # The cost to go ignores the limits: with a horizon shorter than the braking time, braking would begin too
             # late.
@@ -212,7 +241,8 @@ class MpcController(TrackingController):
 
     @property
     def _known_delay(self) -> float:
-        return sum(self._delays)
+        p = self.parameters
+        return self._delay.delay if p.latency is None and p.lag is None else sum(self._delays)
 
     @property
     def _tube(self) -> tuple[float, float] | None:
@@ -228,26 +258,23 @@ class MpcController(TrackingController):
         effort = np.array([p.speed_effort, p.yaw_rate_effort]) ** -2.0
         return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors)
 
-    def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-        """Return times on the trajectory, Shape (n,) [s], and the cost matrices at these times, Shape (n, 3, 3)."""
+    def _cost_to_go(self, trajectory: Trajectory) -> _CostToGo:
         times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
-        row, weights = trajectory.sample_at(times), self._weights
-        arcs = arcs_between(np.column_stack((row.x, row.y, row.yaw)), times)
-        return times, riccati_back(arcs, weights.errors, weights.effort, weights.final)
+        return _CostToGo(times.tolist(), cost_to_go(trajectory.table.at(times)[:, 1:4].copy(), times, self._weights))
 
     def _wanted(
         self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: AcceptedErrors
     ) -> Twist2:
-        if self._built_for is not self.parameters:
+        if self._built is None or self._built.parameters is not self.parameters:
             self._prepare()
         # The model contains neither braking after a cancellation nor turning of steered wheels at rest.
         turning = self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished
-        if self._cancelled or turning:
+        if self._cancelled or turning or self._built is None:
             self._nominal = self._limiter.allowed = None
             return super()._wanted(reference, now, error, accepted)
-        cycle = self._cycle(reference)
-        found, self._nominal = self._solved(cycle), cycle.nominal[1]
-        v, w = float(found[0]), float(found[1])
+        cycle = self._cycle(reference, self._built)
+        (v, w), (nominal_v, nominal_w) = self._solved(cycle), cycle.condensed.nominal[0].tolist()
+        self._nominal = nominal_v, nominal_w
         most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
         w = min(max(w, -most), most)
         if cycle.bounds.curvature is not None:
@@ -256,108 +283,119 @@ class MpcController(TrackingController):
         self._limiter.allowed = Twist2(v, w)
         return self._limiter.allowed
 
-    def _cycle(self, reference: TrajectoryReference) -> MpcCycle:
-        """Return the data of the program for this cycle, beginning at the time when its command takes effect."""
+    def _horizon_times(self) -> FloatArray:
+        if self._built is None or self._cancelled:
+            return super()._horizon_times()
+        self._grid = self._new_grid()
+        return self._grid.previews
+
+    def _new_grid(self) -> _Grid:
+        """Return the steps of the horizon, which begins when the next command takes effect."""
         n, period, (latency, lag) = self.parameters.steps, self._clock.period, self._delays
-        h = np.full(n, max(period, (self._horizon - period) / (n - 1)))
-        h[0] = period
-        t = np.concatenate(([0.0], np.cumsum(h)))
+        steps = [period, *[max(period, (self._horizon - period) / (n - 1))] * (n - 1)]
+        t = list(itertools.accumulate(steps, initial=0.0))
         # The nominal commands lead the reference by the lag.
-        poses = reference.poses_ahead(latency + np.concatenate((t, t + lag)))
-        arcs, leading = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], t)
-        nominal = np.column_stack((leading.v, leading.w))
-        last = np.array([self._limiter.command.linear, self._limiter.command.angular])
-        trajectory, time = reference.trajectory_ahead(latency + float(t[-1]))
+        previews = np.array([latency + at for at in t] + [latency + (at + lag) for at in t])
+        return _Grid(t, np.array(steps), previews)
+
+    def _cycle(self, reference: TrajectoryReference, built: _Built) -> MpcCycle:
+        """Return the data of the program for this cycle, beginning at the time when its command takes effect."""
+        (t, h, previews), (latency, lag) = self._grid or self._new_grid(), self._delays
+        self._grid = None
+        poses = reference.poses_ahead(previews)
+        trajectory, time = reference.trajectory_ahead(latency + t[-1])
         times, costs = self._to_go[trajectory]
         pose, velocity = self._at_effect(latency, lag)
         seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
         state = np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular])
+        cost = costs[min(bisect_left(times, time), len(times) - 1)]
+        errors, last = condensed(poses, h, lag, state, built.weights, cost), self._limiter.command
         return MpcCycle(
-            prediction=predicted(state, step_matrices(arcs, (lag, lag))),
-            nominal=np.vstack((last if self._nominal is None else self._nominal, nominal)),
-            cost_to_go=costs[min(int(np.searchsorted(times, time)), times.size - 1)],
+            condensed=errors,
+            nominal_before=(last.linear, last.angular) if self._nominal is None else self._nominal,
             h=h,
             elapsed=self._clock.elapsed,
-            bounds=self._bounds(nominal, h),
-            last=last,
+            bounds=self._bounds(errors.nominal[:, 0], h),
+            last=(last.linear, last.angular),
             last_acceleration=self._limiter.acceleration,
-            tube=self._tube,
+            tube=built.tube,
         )
 
     def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
         """Predict pose and velocity at the time when the next command takes effect, from the previous commands."""
         pose, velocity = self._measured
+        x, y, yaw, v, w = pose.x, pose.y, pose.yaw, velocity.linear, velocity.angular
         now = self._clock.now or 0.0
-        for k, (stamp, command) in enumerate(self._given):
-            until = self._given[k + 1][0] if k + 1 < len(self._given) else now
-            begin, end = max(stamp + latency, now), until + latency
+        acting: list[tuple[float, float, Twist2]] = []  # times at which each command begins and ceases to act
+        until = now + latency
+        for stamp, command in reversed(self._given):
+            if until <= now:
+                break
+            acting.append((max(stamp + latency, now), until, command))
+            until = stamp + latency
+        for begin, end, command in reversed(acting):
             if end <= begin:
                 continue
             decay = math.exp(-(end - begin) / lag) if lag > 0.0 else 0.0
             mean = (1.0 - decay) * lag / (end - begin)
-            v, w = velocity.linear - command.linear, velocity.angular - command.angular
-            pose = pose.moved(Twist2(command.linear + mean * v, command.angular + mean * w), end - begin)
-            velocity = Twist2(command.linear + decay * v, command.angular + decay * w)
-        return pose, velocity
+            more_v, more_w = v - command.linear, w - command.angular
+            driven = command.linear + mean * more_v, command.angular + mean * more_w, 0.0
+            x, y, yaw = arc_end(x, y, yaw, driven, end - begin)
+            v, w = command.linear + decay * more_v, command.angular + decay * more_w
+        return Pose2(x, y, yaw), Twist2(v, w)
 
-    def _solved(self, cycle: MpcCycle) -> FloatArray:
-        """Return the next command, Shape (2,), and set `status`."""
+    def _solved(self, cycle: MpcCycle) -> tuple[float, float]:
+        """Return speed and yaw rate of the next command, and set `status`."""
         now = self._clock.now or 0.0
         found = None if self._program is None else self._program.solve(cycle)
         if found is not None:
             exceeded = found.over_jerk > _JERK_TOLERANCE * self._limits.max_jerk
             self.status = MpcStatus(CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED, found.outside)
-            self._plan = _Plan(now, np.cumsum(cycle.h) - cycle.h, found.commands)
-            command: FloatArray = found.commands[0]
-            return command
+            times = list(itertools.accumulate(cycle.h.tolist(), initial=0.0))[:-1]
+            self._plan = _Plan(now, times, found.commands)
+            v, w = found.commands[0].tolist()
+            return v, w
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
             raise NoValidControl(
                 f"{self.name}: no commands were found for {self._horizon:g} s, and earlier commands are used "
                 f"up; plan again from here"
             )
-        times, commands = self._plan.times + self._plan.stamp, self._plan.commands
-        shifted: FloatArray = commands[np.searchsorted(times, now, side="right") - 1]
-        return shifted
+        begun = bisect_right(self._plan.times, now - self._plan.stamp) - 1
+        v, w = self._plan.commands[max(begun, 0)].tolist()
+        return v, w
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
-        """Return the bounds of the commands that follow the last command."""
-        n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
-        v, rise, fall = nominal[:, 0], limits.max_acceleration, limits.max_deceleration
-        travel = np.sign(v + np.concatenate((v[:1], v[:-1])))
-        either = min(rise, fall)
-        up = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
-        down = np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
-        acceleration = np.array([-down, up])
+        """Return the bounds of the commands that follow the last command, about nominal speeds, Shape (n,)."""
+        limits, period, last = self._limits, self._clock.elapsed, self._limiter.command.linear
+        acceleration = _accelerations(nominal, limits)
         for row, most in enumerate((-_MOST, _MOST)):
-            reached = rate_limited(last, Twist2(most, most), limits, period)
-            acceleration[row, 0] = (reached.linear - last.linear) / period
-        speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
+            acceleration[row, 0] = (reachable_speed(last, most, limits, period) - last) / period
+        speed = _both_ways(limits.max_reverse_speed, limits.max_speed, nominal.size)
         for row, sign, top in ((0, -1.0, limits.max_reverse_speed), (1, 1.0, limits.max_speed)):
-            room = top - sign * last.linear  # the next command must be able to level out within it
-            speed[row, 0] = last.linear + sign * min(room, period * fastest_slope(room, limits.max_jerk, period))
-        curvature, gear = None, np.ones(n)
+            room = top - sign * last  # the next command must be able to level out within it
+            speed[row, 0] = last + sign * min(room, period * fastest_slope(room, limits.max_jerk, period))
+        curvature = gear = None
         if self._drive is Drive.ACKERMANN:
-            gear, going = np.sign(np.where(np.abs(v) > _AT_REST, v, 0.0)), math.copysign(1.0, last.linear)
+            gear, going = np.sign(np.where(np.abs(nominal) > _AT_REST, nominal, 0.0)), math.copysign(1.0, last)
             # During a change of gear the sign of the speed is unknown, and the wheels are kept straight.
-            braking = braking_time(abs(last.linear), limits.max_deceleration, limits.max_jerk)
+            braking = braking_time(abs(last), limits.max_deceleration, limits.max_jerk)
             gear[(np.cumsum(h) - h < braking) & (gear != going)] = 0.0
             speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
             curvature = self._reachable_curvature(np.cumsum(h))
         # Speed times yaw rate is linearized about the last command and the nominal commands; the remainder of the next
         # command is at most the product of both changes.
-        about = np.concatenate((np.array([[last.linear, last.angular]]), nominal[1:]))
-        lateral = _both_ways(limits.max_lateral_acceleration, n)
+        lateral = _both_ways(limits.max_lateral_acceleration, limits.max_lateral_acceleration, nominal.size)
         if math.isfinite(limits.max_yaw_acceleration):
-            rest = max(rise, fall) * limits.max_yaw_acceleration * period**2
+            rest = max(limits.max_acceleration, limits.max_deceleration) * limits.max_yaw_acceleration * period**2
             lateral[:, 0] *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
-        return CommandBounds(limits, speed, acceleration, lateral, about, curvature, gear)
+        return CommandBounds(limits, speed, acceleration, lateral, curvature, gear)
 
     def _reachable_curvature(self, times: FloatArray) -> FloatArray:
         """Return the least and the largest curvature that the wheels can reach at `times`, Shape (2, n)."""
         limits = self._limits
         if not math.isfinite(limits.max_steering_rate):
-            return _both_ways(limits.max_curvature, times.size)
+            return _both_ways(limits.max_curvature, limits.max_curvature, times.size)
         angle = math.atan(limits.wheelbase * (self._limiter.curvature or 0.0))
         turned = np.array([[-1.0], [1.0]]) * limits.max_steering_rate * times
         most = math.atan(limits.wheelbase * limits.max_curvature)
@@ -390,16 +428,37 @@ class _ProgramLimiter(CommandLimiter):
     ) -> Twist2:
         """Return the reachable command nearest to `wanted`; see `CommandLimiter.follow`."""
         before, is_first, allowed = self.command, self._feed_forward is None, self.allowed
-        command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
-        if is_first or allowed is None or wanted.linear != allowed.linear:
-            return command
-        if wanted.angular in (allowed.angular, 0.0):  # the finish leaves out a negligible turn
-            self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
-            self.acceleration = (command.linear - before.linear) / period
-            if abs(command.linear) > _AT_REST:
-                self.curvature = command.angular / command.linear
+        is_kept = allowed is not None and not is_first and wanted.linear == allowed.linear
+        # The finish leaves out a negligible turn.
+        is_kept = is_kept and allowed is not None and wanted.angular in (allowed.angular, 0.0)
+        if not is_kept or drive is Drive.ACKERMANN:  # the curvature of steered wheels is defined at rest, too
+            command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
+            if not is_kept:
+                return command
+        else:
+            self._fed_slope(feed_forward.linear, period)
+            self._keep(before, feed_forward.linear, period)
+        self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
+        self.acceleration = (command.linear - before.linear) / period
+        if abs(command.linear) > _AT_REST:
+            self.curvature = command.angular / command.linear
         return command
 
 
-def _both_ways(bound: float, count: int) -> FloatArray:
-    return np.array([[-bound] * count, [bound] * count])
+def _accelerations(speeds: FloatArray, limits: MotionLimits) -> FloatArray:
+    """Return the bounds of the accelerations between nominal speeds, Shape (n,). Shape (2, n) [m/s^2]."""
+    rise, fall = limits.max_acceleration, limits.max_deceleration
+    least, most = float(speeds.min()), float(speeds.max())
+    if least > 0.0 or most < 0.0:
+        return _both_ways(fall, rise, speeds.size) if least > 0.0 else _both_ways(rise, fall, speeds.size)
+    travel, either = np.sign(speeds + np.concatenate((speeds[:1], speeds[:-1]))), min(rise, fall)
+    up = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
+    down = np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
+    return np.array([-down, up])
+
+
+def _both_ways(down: float, up: float, count: int) -> FloatArray:
+    """Return equal bounds of `count` values, from -`down` to `up`, Shape (2, count)."""
+    bounds = np.empty((2, count))
+    bounds[0], bounds[1] = -down, up
+    return bounds

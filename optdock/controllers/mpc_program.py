@@ -19,13 +19,24 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.kernels import Kernel, twin_of
 from optdock.quadratic_program import UNBOUNDED, DenseProgram
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.limits import MotionLimits
 
-__all__ = ["Prediction", "ReferenceArcs", "arcs_between", "predicted", "riccati_back", "step_matrices"]
+__all__ = [
+    "CondensedErrors",
+    "Prediction",
+    "ReferenceArcs",
+    "arcs_between",
+    "condensed",
+    "cost_to_go",
+    "predicted",
+    "riccati_back",
+    "step_matrices",
+]
 
 _EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
@@ -47,8 +58,12 @@ class ReferenceArcs(NamedTuple):
 
 
 def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
-    """Return the arcs between successive poses, Shape (n + 1, 3), yaw continuous, at `times`, Shape (n + 1,) [s]."""
+    """Return the arcs between successive poses, Shape (n + 1, 3), at `times`, Shape (n + 1,) [s].
+
+    Each turn is taken as the equivalent angle in [-pi, pi].
+    """
     h, turn = np.diff(times), np.diff(poses[:, 2])
+    turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     c, s = np.cos(poses[:-1, 2] + 0.5 * turn), np.sin(poses[:-1, 2] + 0.5 * turn)
     along, aside = c * dx + s * dy, c * dy - s * dx
@@ -142,28 +157,113 @@ class MpcWeights(NamedTuple):
     final: FloatArray  # errors at the end of the trajectory, Shape (3,)
 
 
+_COST_TO_GO = Kernel("optdock_cost_to_go", sizes=1, numbers=0)
+
+
+def _cost_to_go_natively(poses: FloatArray, times: FloatArray, weights: MpcWeights) -> FloatArray:
+    n, numbers = times.size - 1, np.concatenate((weights.errors, weights.effort, weights.final))
+    cost = np.empty((n + 1, 3, 3))
+    _COST_TO_GO((n,), (), ((poses, 3 * n + 3), (times, n + 1), (numbers, 8), (cost, cost.size)))
+    return cost
+
+
+@twin_of(_cost_to_go_natively)
+def cost_to_go(poses: FloatArray, times: FloatArray, weights: MpcWeights) -> FloatArray:
+    """Return the cost to go of a reference, see `riccati_back`.
+
+    Args:
+        poses: Poses of the whole reference, Shape (n + 1, 3).
+        times: Their times, Shape (n + 1,) [s].
+        weights: Weights of the cost.
+
+    Returns:
+        Shape (n + 1, 3, 3).
+    """
+    return riccati_back(arcs_between(poses, times), weights.errors, weights.effort, weights.final)
+
+
+class CondensedErrors(NamedTuple):
+    """Errors over the horizon as a function of the commands u, and their cost u' hessian u / 2 + gradient' u.
+
+    `nominal`: mean velocities of the reference when the commands act, Shape (n, 2) [m/s, rad/s]; `errors`, Shape (n,
+    3), and `by_commands`, Shape (n, 3, 2 n), are those of `Prediction` without the speeds; `hessian`, Shape (2 n, 2 n);
+    `gradient`, Shape (2 n,).
+    """
+
+    nominal: FloatArray
+    errors: FloatArray
+    by_commands: FloatArray
+    hessian: FloatArray
+    gradient: FloatArray
+
+
+_CONDENSE = Kernel("optdock_condense", sizes=1, numbers=1)
+
+
+def _condensed_natively(
+    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
+) -> CondensedErrors:
+    n = h.size
+    ends = 2 * n, 5 * n, 5 * n + 6 * n * n, 5 * n + 10 * n * n, 7 * n + 10 * n * n
+    out = np.empty(ends[-1] + 10 * n)
+    arrays = (poses, 6 * (n + 1)), (h, n), (state, 5), (weights, 3), (after, 9), (out, out.size)
+    _CONDENSE((n,), (lag,), arrays)
+    return CondensedErrors(
+        out[: ends[0]].reshape(n, 2),
+        out[ends[0] : ends[1]].reshape(n, 3),
+        out[ends[1] : ends[2]].reshape(n, 3, 2 * n),
+        out[ends[2] : ends[3]].reshape(2 * n, 2 * n),
+        out[ends[3] : ends[4]],
+    )
+
+
+@twin_of(_condensed_natively)
+def condensed(
+    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
+) -> CondensedErrors:
+    """Return the errors over the horizon and their cost.
+
+    Args:
+        poses: Poses of the reference at the borders of the steps, and then poses later by `lag`, Shape (2 n + 2, 3).
+        h: Length of each step, Shape (n,) [s].
+        lag: Lag of the drive, of speed and yaw rate [s].
+        state: Present errors, speed and yaw rate, Shape (5,).
+        weights: Weights of the errors per second, Shape (3,).
+        after: Cost to go after the last step, symmetric, Shape (3, 3).
+    """
+    n, times = h.size, np.concatenate(([0.0], np.cumsum(h)))
+    arcs, leading = arcs_between(poses[: n + 1], times), arcs_between(poses[n + 1 :], times)
+    prediction = predicted(state, step_matrices(arcs, (lag, lag)))
+    errors, by = prediction.errors[:, :3], prediction.by_commands[:, :3, :]
+    heavy = ((h[:, None] * weights)[:, :, None] * by).reshape(3 * n, 2 * n)
+    end = by[-1].T @ after
+    hessian = heavy.T @ by.reshape(3 * n, 2 * n) + end @ by[-1]
+    gradient = heavy.T @ errors.ravel() + end @ errors[-1]
+    return CondensedErrors(np.column_stack((leading.v, leading.w)), errors, by, hessian, gradient)
+
+
 class CommandBounds(NamedTuple):
     """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit."""
 
     limits: MotionLimits  # limits of the robot, for bounds that are the same in all steps
     speed: FloatArray  # [m/s]
     acceleration: FloatArray  # between the speeds, the first from the last command [m/s^2]
-    lateral: FloatArray  # of speed times yaw rate, linearized about `about` [m/s^2]
-    about: FloatArray  # commands, Shape (n, 2)
+    lateral: FloatArray  # of speed times yaw rate, linearized about the last command and then the nominal ones [m/s^2]
     curvature: FloatArray | None  # of steered wheels [1/m]; None for a differential drive
-    gear: FloatArray  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
+    gear: (
+        FloatArray | None
+    )  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
 
 
 class MpcCycle(NamedTuple):
     """Data of the program for one control cycle."""
 
-    prediction: Prediction  # errors as a function of the commands
-    nominal: FloatArray  # commands that follow the reference, first row from the last cycle, Shape (n + 1, 2)
-    cost_to_go: FloatArray  # after the last step, Shape (3, 3)
+    condensed: CondensedErrors  # errors as a function of the commands
+    nominal_before: tuple[float, float]  # command that follows the reference, from the last cycle
     h: FloatArray  # length of each step, Shape (n,) [s]
     elapsed: float  # time since the last command [s]
     bounds: CommandBounds  # bounds of the commands
-    last: FloatArray  # command of the last cycle, Shape (2,)
+    last: tuple[float, float]  # command of the last cycle
     last_acceleration: float  # acceleration of that command [m/s^2]
     tube: tuple[float, float] | None  # half width [m] and yaw error [rad] of the tube; None without a tube
 
@@ -194,34 +294,52 @@ class TrackingProgram:
         blocks = [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
         self._speed_changes, self._yaw_rate_changes, self._jerks, self._wheels, self._lateral = blocks[:5]
         self._curvature, self._curvature_changes, self._tube = blocks[5:]
-        self._program = DenseProgram(2 * steps + 2, ends[-1], _MOST_ITERATIONS)
-        self._program.lbx[-2:] = 0.0
-        self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP requires a positive definite cost
-        self._program.g[-2:] = _EXACT
+        self._program = program = DenseProgram(2 * steps + 2, ends[-1], _MOST_ITERATIONS)
+        program.lbx[-2:] = 0.0
+        program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP requires a positive definite cost
+        program.g[-2:] = _EXACT
         self._h: FloatArray = np.zeros(steps)
         self._spans = self._jerk_spans = self._h
         self._changes = np.zeros((steps, steps))
         self._effort = np.zeros((2 * steps, 2 * steps))
+        self._limits: MotionLimits | None = None
+        # Views of the coefficients that change in every cycle, which are as quick to fill as a whole array.
+        self._cost = program.h.T[:-2, :-2]
+        rows, width = program.a.shape[0], program.a.T.reshape(-1)
+        self._by_speed, self._by_yaw_rate = (
+            width[i * rows + self._lateral.start :: 2 * rows + 1][:steps] for i in range(2)
+        )
+        halves = (2 * steps, 2, 2, steps) if in_tube else (2 * steps, 0, 2, steps)
+        tube = program.a.T[:-2, self._tube].reshape(halves)  # by command, by error, upper and lower, by step
+        self._tube_upper, self._tube_lower = tube[:, :, 0], tube[:, :, 1]
+        self._tube_bounds = program.uba[self._tube].reshape(halves[1:])
 
     def solve(self, cycle: MpcCycle) -> Solution | None:
         """Return the optimal commands; None if no solution is found within the iteration limit."""
         if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
+        if cycle.bounds.limits is not self._limits:
+            self._use_limits(cycle.bounds.limits)
         self._fill_cost(cycle)
         self._fill_bounds(cycle)
+        if cycle.bounds.curvature is not None and cycle.bounds.gear is not None:
+            self._fill_curvature(cycle, cycle.bounds.curvature, cycle.bounds.gear)
         if cycle.tube is not None:
-            self._fill_tube(cycle.prediction, cycle.tube)
+            self._fill_tube(cycle.condensed, cycle.tube)
         # The next command must keep the jerk limit; later ones, on a coarse grid, may exceed it a little.
-        next_command = [self._jerks.start, self._jerks.start + self._steps]
-        self._program.a[next_command, -1] = 0.0
+        self._soften_next_jerk(0.0)
         found, exceeded = self._program.solve(), 0.0
         if found is None:
-            self._program.a[next_command, -1] = -1.0
+            self._soften_next_jerk(-1.0)
             changes = self._curvature_changes
             self._program.lba[changes], self._program.uba[changes] = -UNBOUNDED, UNBOUNDED
             found = self._program.solve()
             exceeded = 0.0 if found is None else float(found[-1])
         return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), exceeded)
+
+    def _soften_next_jerk(self, slack: float) -> None:
+        """Set the coefficient of the slack in the bounds of the next jerk."""
+        self._program.a[self._jerks.start, -1] = self._program.a[self._jerks.start + self._steps, -1] = slack
 
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
@@ -248,83 +366,92 @@ class TrackingProgram:
             smooth = self._changes.T @ ((self._weights.change[i] * self._spans)[:, None] * self._changes)
             self._effort[i::2, i::2] = np.diag(self._weights.effort[i] * h) + smooth
 
+    def _use_limits(self, limits: MotionLimits) -> None:
+        """Update the rows that depend on the limits alone."""
+        program, at, self._limits = self._program, np.arange(self._steps), limits
+        lower, upper = program.lba, program.uba
+
+        def bounded(value: float) -> float:
+            return min(value, UNBOUNDED)
+
+        program.lbx[1:-2:2], program.ubx[1:-2:2] = -bounded(limits.max_yaw_rate), bounded(limits.max_yaw_rate)
+        most = bounded(limits.max_yaw_acceleration)
+        lower[self._yaw_rate_changes], upper[self._yaw_rate_changes] = -most, most
+        upper[self._jerks] = bounded(limits.max_jerk)
+        most = bounded(limits.max_wheel_speed)
+        lower[self._wheels], upper[self._wheels] = -most, most
+        for half, sign in ((0, 1.0), (1, -1.0)):
+            row = self._wheels.start + half * self._steps + at
+            program.a[row, 2 * at], program.a[row, 2 * at + 1] = 1.0, sign * 0.5 * limits.track_width
+
     def _fill_cost(self, cycle: MpcCycle) -> None:
-        n, program, weights = self._steps, self._program, self._weights
-        errors, by = cycle.prediction.errors[:, :3], cycle.prediction.by_commands[:, :3, :]
-        heavy = (cycle.h[:, None] * weights.errors)[:, :, None] * by
-        flat = by.reshape(3 * n, 2 * n)
-        end = by[-1].T @ cycle.cost_to_go
-        program.h[:-2, :-2] = heavy.reshape(3 * n, 2 * n).T @ flat + end @ by[-1] + self._effort
-        nominal = cycle.nominal[1:].ravel()
-        gradient = heavy.reshape(3 * n, 2 * n).T @ errors.ravel() + end @ errors[-1] - self._effort @ nominal
+        program, errors, (v, w) = self._program, cycle.condensed, cycle.nominal_before
+        np.add(errors.hessian, self._effort, out=self._cost)
+        gradient = errors.gradient - self._effort @ errors.nominal.reshape(-1)
         # The first change starts at the deviation of the last command from its nominal one.
-        gradient[:2] -= weights.change / self._spans[0] * (cycle.last - cycle.nominal[0])
+        per_speed, per_yaw_rate = (self._weights.change / self._spans[0]).tolist()
+        gradient[0] -= per_speed * (cycle.last[0] - v)
+        gradient[1] -= per_yaw_rate * (cycle.last[1] - w)
         program.g[:-2] = gradient
 
     def _fill_bounds(self, cycle: MpcCycle) -> None:
-        program, bounds, last, limits = self._program, cycle.bounds, cycle.last, cycle.bounds.limits
-        lower, upper, a = program.lba, program.uba, program.a
+        program, bounds, (last_v, last_w), limits = self._program, cycle.bounds, cycle.last, cycle.bounds.limits
+        lower, upper, speeds, turns = program.lba, program.uba, self._speed_changes, self._yaw_rate_changes.start
+        (span, *_), (first, second, *_) = self._spans.tolist(), self._jerk_spans.tolist()
         program.lbx[0:-2:2], program.ubx[0:-2:2] = bounds.speed
-        program.lbx[1:-2:2], program.ubx[1:-2:2] = -limits.max_yaw_rate, limits.max_yaw_rate
-        lower[self._speed_changes], upper[self._speed_changes] = bounds.acceleration
-        most = limits.max_yaw_acceleration
-        lower[self._yaw_rate_changes], upper[self._yaw_rate_changes] = -most, most
-        for i, rows in enumerate((self._speed_changes, self._yaw_rate_changes)):
-            lower[rows.start] += last[i] / self._spans[0]
-            upper[rows.start] += last[i] / self._spans[0]
+        lower[speeds], upper[speeds] = bounds.acceleration
+        lower[speeds.start] += last_v / span
+        upper[speeds.start] += last_v / span
+        lower[turns] = last_w / span - limits.max_yaw_acceleration
+        upper[turns] = last_w / span + limits.max_yaw_acceleration
         # jerk = (second differences of u) with the last command and its acceleration before the first
-        known = np.zeros(self._steps)
-        known[0] = -(last[0] / self._spans[0] + cycle.last_acceleration) / self._jerk_spans[0]
-        known[1] = last[0] / self._spans[0] / self._jerk_spans[1]
-        upper[self._jerks] = limits.max_jerk - np.concatenate((known, -known))
-        at = np.arange(self._steps)
-        for half, sign in ((0, 1.0), (1, -1.0)):
-            row = self._wheels.start + half * self._steps + at
-            a[row, 2 * at], a[row, 2 * at + 1] = 1.0, sign * 0.5 * limits.track_width
-            lower[row], upper[row] = -limits.max_wheel_speed, limits.max_wheel_speed
-        row, (v, w) = self._lateral.start + at, bounds.about.T
-        a[row, 2 * at], a[row, 2 * at + 1] = w, v
-        lower[row], upper[row] = bounds.lateral + v * w
-        if bounds.curvature is not None:
-            steering = bounds.gear != 0.0
-            slow = np.maximum(np.max(np.abs(bounds.curvature)) * np.abs(cycle.nominal[1:, 0]), abs(last[1]))
-            for half, sign in ((0, 1.0), (1, -1.0)):
-                row = self._curvature.start + half * self._steps + at
-                a[row, 2 * at] = -sign * bounds.gear * bounds.curvature[1 - half]
-                a[row, 2 * at + 1] = sign * np.where(steering, bounds.gear, 1.0)
-                upper[row] = np.where(steering, 0.0, slow)
-            self._fill_curvature_changes(cycle.nominal[1:], bounds)
+        up, down = self._jerks.start, self._jerks.start + self._steps
+        known = -(last_v / span + cycle.last_acceleration) / first, last_v / span / second
+        for k, value in enumerate(known):
+            upper[up + k], upper[down + k] = limits.max_jerk - value, limits.max_jerk + value
+        v, w = self._by_yaw_rate, self._by_speed
+        v[:], w[:] = cycle.condensed.nominal.T
+        v[0], w[0] = last_v, last_w
+        lower[self._lateral], upper[self._lateral] = bounds.lateral + v * w
         for values in (lower, upper, program.lbx, program.ubx):  # several times as fast as np.clip
             np.minimum(np.maximum(values, -UNBOUNDED, out=values), UNBOUNDED, out=values)
 
-    def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
+    def _fill_curvature(self, cycle: MpcCycle, curvature: FloatArray, gear: FloatArray) -> None:
+        """Bound the curvature of the commands of steered wheels, and its changes."""
+        program, at, nominal, steering = self._program, np.arange(self._steps), cycle.condensed.nominal, gear != 0.0
+        slow = np.maximum(np.abs(curvature).max() * np.abs(nominal[:, 0]), abs(cycle.last[1]))
+        for half, sign in ((0, 1.0), (1, -1.0)):
+            row = self._curvature.start + half * self._steps + at
+            program.a[row, 2 * at] = -sign * gear * curvature[1 - half]
+            program.a[row, 2 * at + 1] = sign * np.where(steering, gear, 1.0)
+            program.uba[row] = np.where(steering, 0.0, slow)
+        self._fill_curvature_changes(nominal, gear, cycle.bounds.limits)
+
+    def _fill_curvature_changes(self, nominal: FloatArray, gear: FloatArray, limits: MotionLimits) -> None:
         """Bound the change of the curvature w / v between commands in motion, linearized about the nominal commands."""
         program, (v, w) = self._program, nominal.T
         moving = np.abs(v) > _IN_MOTION
         speed = np.where(moving, v, 1.0)
         curvature = w / speed
-        both = np.flatnonzero(
-            moving[1:] & moving[:-1] & (bounds.gear[1:] == bounds.gear[:-1]) & (bounds.gear[1:] != 0.0)
-        )
+        both = np.flatnonzero(moving[1:] & moving[:-1] & (gear[1:] == gear[:-1]) & (gear[1:] != 0.0))
         rows = self._curvature_changes
         program.a[rows] = 0.0
         program.lba[rows], program.uba[rows] = -UNBOUNDED, UNBOUNDED
         row, change = rows.start + both + 1, curvature[both + 1] - curvature[both]
         for k, sign in ((both + 1, 1.0), (both, -1.0)):
             program.a[row, 2 * k], program.a[row, 2 * k + 1] = -sign * curvature[k] / speed[k], sign / speed[k]
-        base = bounds.limits.wheelbase
-        fastest = bounds.limits.max_steering_rate / base if base > 0.0 else np.inf  # change of the curvature [1/(m s)]
+        base = limits.wheelbase
+        fastest = limits.max_steering_rate / base if base > 0.0 else np.inf  # change of the curvature [1/(m s)]
         most = np.minimum(fastest * self._spans[both + 1], UNBOUNDED)
         program.lba[row], program.uba[row] = -most - change, most - change
 
-    def _fill_tube(self, prediction: Prediction, tube: tuple[float, float]) -> None:
+    def _fill_tube(self, found: CondensedErrors, tube: tuple[float, float]) -> None:
         """Bound cross and yaw errors after every step in both directions, relaxed by the slack."""
-        program, n = self._program, self._steps
-        for i, width in enumerate(tube):
-            by, errors = prediction.by_commands[:, 1 + i, :], prediction.errors[:, 1 + i]
-            for half, sign in ((0, 1.0), (1, -1.0)):
-                first = self._tube.start + (2 * i + half) * n
-                program.a[first : first + n, :-2] = sign * by
-                # The slack scales the widths of cross and yaw error alike.
-                program.a[first : first + n, -2] = -width / tube[0]
-                program.uba[first : first + n] = width - sign * errors
+        by = found.by_commands[:, 1:].transpose(2, 1, 0)
+        self._tube_upper[...] = by
+        np.negative(by, out=self._tube_lower)
+        errors, widths = found.errors[:, 1:].T, np.array([[tube[0]], [tube[1]]])
+        self._tube_bounds[:, 0], self._tube_bounds[:, 1] = widths - errors, widths + errors
+        # The slack scales the widths of cross and yaw error alike.
+        slack = self._program.a[self._tube, -2]
+        slack[: slack.size // 2], slack[slack.size // 2 :] = -1.0, -tube[1] / tube[0]

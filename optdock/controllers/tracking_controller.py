@@ -6,11 +6,12 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.delay_estimate import ControlClock, DelayEstimate
-from optdock.controllers.look_ahead import LookAhead, Obstruction, stopping_way
+from optdock.controllers.look_ahead import LookAhead, Obstruction, radius_of, stopping_way
 from optdock.controllers.moving_reference import (
     ReferenceProgress,
     ReferenceState,
@@ -28,6 +29,7 @@ from optdock.controllers.tracking_checks import (
 )
 from optdock.controllers.tracking_law import CREEPING, DeadBandPush, FeedbackGains, Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
+from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, Twist2
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
+_NO_TIMES = readonly(np.zeros(0))
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _CREEP = 1e-6  # [m/s]: too slow to move the robot, but its curvature turns steered wheels
 _TURN_LEVER = 0.5  # [m]: turns in place identify the delay by the speed of a point at this distance
@@ -273,12 +276,18 @@ class TrackingController(Controller):
         # Braking covers half of the distance at constant speed.
         braking = 0.5 * max(by_speed, by_turn / limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
+        radius, phases = radius_of(footprint), (*driven, (command, braking))
+        reach = 0.0
+        for twist, lasts in phases:
+            reach += lasts * (abs(twist.linear) + radius * abs(twist.angular))
+        if self._look_ahead.is_clear(self.context, footprint, pose, reach):
+            return
         ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._feedback.scatter)
 
         def obstruction(way: FloatArray) -> Obstruction | None:
             return self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance, noise)
 
-        found = obstruction(stopping_way(pose, footprint, (*driven, (command, braking))))
+        found = obstruction(stopping_way(pose, footprint, phases))
         if found is None:
             return
         distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
@@ -376,7 +385,11 @@ class TrackingController(Controller):
                 rate, settling = waiting_rate(lag, p.slow_down_lag, p.stop_lag) * allowed, _SETTLING
             reference.advance(before, self._clock.elapsed, rate, self._limits, settling)
             reference.look_ahead(self._preview, at_once=self._clock.learnt)
-        return reference.state()
+        return reference.state(self._horizon_times())
+
+    def _horizon_times(self) -> FloatArray:
+        """Return the times ahead whose reference poses the law of a subclass uses, Shape (n,) [s]."""
+        return _NO_TIMES
 
     @property
     def _known_delay(self) -> float:

@@ -40,6 +40,8 @@ class Intake(NamedTuple):
 
 def usable(given: object) -> Intake:
     """Return the valid part of measurements; any object is accepted, including None."""
+    if isinstance(given, Measurements) and _is_usual(given):
+        return Intake(given, has_twist=True, faults=())
     if not isinstance(given, Measurements):
         return Intake(Measurements(math.nan, None), has_twist=False, faults=(_fault("measurements", given),))
     kept: dict[str, Any] = given._asdict()
@@ -52,6 +54,25 @@ def usable(given: object) -> Intake:
         kept["pose"] = None
     measurements = Measurements(**kept | {"detections": detections})
     return Intake(measurements, "twist" not in invalid, tuple(faults))
+
+
+def _is_usual(given: Measurements) -> bool:
+    """Whether all fields have exactly the usual types and finite values; the checks of single fields accept more."""
+    stamp, current, odometry = given.pose_stamp, given.current, given.odometry
+    return (
+        type(given.stamp) is float
+        and math.isfinite(given.stamp)
+        and (stamp is None or (type(stamp) is float and math.isfinite(stamp)))
+        and (current is None or (type(current) is float and math.isfinite(current)))
+        and type(given.pose) in _POSES
+        and type(given.twist) is Twist2
+        and type(given.detections) is tuple
+        and (not given.detections or all(map(_is_detection, given.detections)))
+        and type(given.contact) in _SWITCHES
+        and type(given.held) is bool
+        and type(given.costmap) in _COSTMAPS
+        and (odometry is None or _is_odometry(odometry))
+    )
 
 
 def _fault(name: str, value: object) -> tuple[str, str]:
@@ -80,6 +101,7 @@ def _is_none_or(accepts: Callable[[object], bool]) -> Callable[[object], bool]:
     return lambda value: value is None or accepts(value)
 
 
+_POSES, _SWITCHES, _COSTMAPS = (Pose2, type(None)), (bool, type(None)), (Costmap, type(None))
 # For each field: the test of validity, and the neutral value that replaces an invalid value.
 _ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
     "stamp": (_is_finite, math.nan),

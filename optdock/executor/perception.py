@@ -17,7 +17,7 @@ from optdock.executor.pose_filter import AHEAD, DeadReckoning, OdometryErrors, P
 from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Sequence
 
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
@@ -63,6 +63,7 @@ class Perception:
         self.detections = DockDetections(stored, settings, self._robot, report)
         self._dock = self.detections.filter
         self._noise = np.diag([settings.position_sigma**2, settings.position_sigma**2, settings.yaw_sigma**2])
+        self._from_stored: tuple[Pose2 | None, Pose2] = None, stored  # the robot, and relative to the stored dock
         self._pose_used, self._restarts = -math.inf, 0
         self.measurements: Measurements | None = None
         self.stamp = -math.inf
@@ -124,7 +125,14 @@ class Perception:
     @property
     def robot_from_dock(self) -> Pose2:
         """Pose of the robot relative to the docked pose; independent of the localization after the first detection."""
-        return self._dock.pose if self.sees_dock else self.robot.in_frame_of(self._stored)
+        if self._dock.accepted > 0:  # as `sees_dock`
+            return self._dock.pose
+        robot, from_stored = self._from_stored
+        if robot is not self._robot.pose:
+            robot = self._robot.pose
+            from_stored = robot.in_frame_of(self._stored)
+            self._from_stored = robot, from_stored
+        return from_stored
 
     @property
     def dock(self) -> Pose2:
@@ -205,7 +213,7 @@ class Perception:
             robot.correct(measured_at, pose, self._noise)
             self._check_jump()
         if not self.sees_dock:
-            self._dock.place(robot.pose.in_frame_of(self._stored), self._stored_noise())
+            self._dock.place(self.robot_from_dock, self._stored_noise())
         return True
 
     def _begin(self, measurements: Measurements, pose: Pose2, measured_at: float) -> None:
@@ -227,11 +235,9 @@ class Perception:
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:
-        """Return the covariance of the robot in the frame of the stored dock, Shape (3, 3)."""
+        """Return the covariance of the robot in the frame of the stored dock, which was not detected. Shape (3, 3)."""
         settings = self._settings
-        return covariance_from_dock(
-            self._robot.pose.in_frame_of(self._stored), settings.stored_position_sigma, settings.stored_yaw_sigma
-        )
+        return covariance_from_dock(self.robot_from_dock, settings.stored_position_sigma, settings.stored_yaw_sigma)
 
     def _report_lost(self) -> None:
         """Report once when poses or detections are missing, and once when they are available again."""
@@ -312,7 +318,7 @@ class DockDetections:
             return math.inf
         return self.filter.pose.distance_to(self.filter.pose_at(seen))
 
-    def update(self, found: Iterable[Detection], stamp: float, offset: float, way: float) -> None:
+    def update(self, found: Sequence[Detection], stamp: float, offset: float, way: float) -> None:
         """Process new detections.
 
         Args:
@@ -322,6 +328,8 @@ class DockDetections:
             way: Distance driven by odometry [m].
         """
         self._now, self._way = stamp, way
+        if not found:
+            return
         for late in sorted(found, key=lambda detection: detection.stamp):
             detection = self._not_ahead(late._replace(stamp=late.stamp + offset))
             age, sigmas = self._now - detection.stamp, (detection.position_sigma, detection.yaw_sigma)
@@ -399,8 +407,8 @@ def covariance_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) 
     Returns:
         Shape (3, 3) [m, m, rad].
     """
-    swing = np.array([-robot.y, robot.x, 1.0])
-    found: FloatArray = yaw_sigma**2 * np.multiply.outer(swing, swing)
+    swing = np.array([[-robot.y, robot.x, 1.0]])
+    found: FloatArray = yaw_sigma**2 * (swing * swing.T)
     found[0, 0] += position_sigma**2
     found[1, 1] += position_sigma**2
     return found

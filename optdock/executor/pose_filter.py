@@ -13,15 +13,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from bisect import bisect_right
 from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from optdock.errors import InvalidValue
+from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.geometry.pose import Pose2, Twist2, arc_end, normalize_angle
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
 
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
+_IDENTITY, _SEEN = readonly(np.eye(6)), readonly(np.eye(3, 6))
 AHEAD = 0.01  # [s]: rounding and jitter of stamps; stamps further ahead come from another clock
 # A larger difference between the pose of the odometry and the integrated twists means that the odometry's frame has
 # restarted. The bounds are far above the error of the twists, and include the motion of a fast robot without twists.
@@ -70,22 +71,27 @@ class DeadReckoning:
             twist: Body velocity.
             odometry: Newest pose; repeated and older poses are ignored.
         """
-        before, period = self.pose, stamp - self._stamp
+        before, period, step = self.pose, stamp - self._stamp, _ORIGIN
         if period > 0.0:
             # Trapezoidal rule.
-            mean = Twist2(
-                0.5 * (self._twist.linear + twist.linear),
-                0.5 * (self._twist.angular + twist.angular),
-                0.5 * (self._twist.lateral + twist.lateral),
+            old = self._twist
+            mean = (
+                0.5 * (old.linear + twist.linear),
+                0.5 * (old.angular + twist.angular),
+                0.5 * (old.lateral + twist.lateral),
             )
-            self.pose, self._idle = before.moved(mean, period), self._idle.moved(mean, period)
+            step = Pose2(*arc_end(0.0, 0.0, 0.0, mean, period))
+            self.pose, self._idle = before @ step, self._idle @ step
             self._since.append((stamp, self.pose))
         self._stamp, self._twist = stamp, twist
         if odometry is not None and math.isfinite(odometry.stamp) and odometry.stamp <= stamp + AHEAD:
+            moved = self.pose
             self._join(odometry)
+            if self.pose is not moved:
+                step = before.inverse() @ self.pose
         if self._known is None:
             del self._since[:-1]
-        return before.inverse() @ self.pose
+        return step
 
     def _join(self, odometry: OdometryPose) -> None:
         known, then = self._known, _between(self._since, odometry.stamp)
@@ -118,7 +124,7 @@ def _is_beyond(gap: Pose2, most: tuple[float, float]) -> bool:
 
 def _between(readings: list[tuple[float, Pose2]] | deque[tuple[float, Pose2]], stamp: float) -> Pose2:
     """Return the pose at a stamp, interpolated along arcs; constant before the first and after the last reading."""
-    after = bisect_right(readings, stamp, key=_stamp_of)
+    after = _count_until(readings, stamp)
     if after == 0:
         return readings[0][1]
     if after == len(readings):
@@ -127,8 +133,12 @@ def _between(readings: list[tuple[float, Pose2]] | deque[tuple[float, Pose2]], s
     return before.moved(_arc(pose.in_frame_of(before)), (stamp - begin) / (end - begin))
 
 
-def _stamp_of(reading: tuple[float, Pose2]) -> float:
-    return reading[0]
+def _count_until(readings: list[tuple[float, Pose2]] | deque[tuple[float, Pose2]], stamp: float) -> int:
+    """Return the number of readings up to a stamp, which is usually one of the last."""
+    count = len(readings)
+    while count > 0 and readings[count - 1][0] > stamp:
+        count -= 1
+    return count
 
 
 def _arc(step: Pose2) -> Twist2:
@@ -217,7 +227,7 @@ class PoseFilter:
         # Corrected dead reckoning; past poses are the present estimate moved back along it.
         self._reckoned: deque[tuple[float, Pose2]] = deque()
         self._outside: list[_Outside] = []
-        self._whitened: deque[FloatArray] = deque(maxlen=_INNOVATIONS)
+        self._whitened: deque[tuple[float, ...]] = deque(maxlen=_INNOVATIONS)
 
     @property
     def started(self) -> bool:
@@ -282,14 +292,18 @@ class PoseFilter:
         Raises:
             InvalidValue: If the stamp is not finite or earlier than the last one, or the filter was not started.
         """
-        self._check_clock(stamp)
         before, last = self.pose, self.stamp
-        scale, drift = float(self.systematic[0]), float(self.systematic[1])
-        corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
+        if not (type(stamp) is float and last <= stamp < math.inf):
+            self._check_clock(stamp)
+        scale, drift, _ = self.systematic.tolist()
+        corrected = step
+        if scale != 0.0 or drift != 0.0:
+            corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
         self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._expected)
-        usual, slipped, left = self._errors, self._expected, math.exp(-math.hypot(step.x, step.y) / _SLIP_MEMORY)
+        usual, slipped = self._errors, self._expected
         if slipped is not usual:
+            left = math.exp(-math.hypot(step.x, step.y) / _SLIP_MEMORY)
             self._expected = usual._replace(
                 along=usual.along + left * (slipped.along - usual.along),
                 yaw_per_way=usual.yaw_per_way + left * (slipped.yaw_per_way - usual.yaw_per_way),
@@ -313,6 +327,8 @@ class PoseFilter:
         pose, reckoned = self.pose, self._reckoned
         if stamp < reckoned[0][0]:
             raise InvalidValue(f"pose filter: motion is stored from {reckoned[0][0]} s on, got {stamp} s")
+        if stamp >= reckoned[-1][0]:
+            return pose
         return pose @ (reckoned[-1][1].inverse() @ _between(reckoned, stamp))
 
     def correct(
@@ -345,29 +361,31 @@ class PoseFilter:
         velocity = self._velocity_at(stamp - delay)
         then, ahead = self.pose_at(max(stamp - delay, self._reckoned[0][0])), max(stamp - delay - self.stamp, 0.0)
         if ahead > 0.0:  # the odometry is later than the measurement
-            then = Pose2.from_sequence(then.as_array() + ahead * velocity)
-        miss = np.array([measured.x - then.x, measured.y - then.y, normalize_angle(measured.yaw - then.yaw)])
-        seen = np.zeros((3, 6))
-        seen[0, 0] = seen[1, 1] = seen[2, 2] = 1.0
-        seen[0, 2], seen[1, 2] = pose.y - then.y, then.x - pose.x
-        seen[:, 5] = -velocity
-        noise = noise + self._errors.jitter**2 * np.multiply.outer(velocity, velocity)
+            x, y, yaw = velocity
+            then = Pose2(then.x + ahead * x, then.y + ahead * y, then.yaw + ahead * yaw)
+        off_x, off_y, off_yaw = measured.x - then.x, measured.y - then.y, normalize_angle(measured.yaw - then.yaw)
+        seen = _SEEN.copy()
+        seen[0, 2], seen[1, 2], seen[:, 5] = pose.y - then.y, then.x - pose.x, velocity
+        rate = seen[:, 5:]
+        noise = noise + self._errors.jitter**2 * (rate * rate.T)
+        seen[:, 5] *= -1.0
         covariance = self._with_slip(*slip)
         shared = seen @ covariance
-        spread = shared @ seen.T + noise
-        solved = np.linalg.solve(spread, np.column_stack((miss, shared)))
-        near = math.hypot(miss[0], miss[1]) <= _ALWAYS_NEAR[0] and abs(miss[2]) <= _ALWAYS_NEAR[1]
-        if not near and float(miss @ solved[:, 0]) > GATE:
+        white = _whitening(shared @ seen.T + noise)
+        miss = np.array((off_x, off_y, off_yaw))
+        whitened, white_shared = white @ miss, white @ shared
+        near = math.hypot(off_x, off_y) <= _ALWAYS_NEAR[0] and abs(off_yaw) <= _ALWAYS_NEAR[1]
+        if not near and float(whitened @ whitened) > GATE:
             return self._put_aside(stamp, measured, then, noise) if may_move else "rejected"
-        change = shared.T @ solved[:, 0]
-        gain = solved[:, 1:].T
-        rest = np.eye(6) - gain @ seen
+        change, gain = white_shared.T @ whitened, white_shared.T @ white
+        rest = _IDENTITY - gain @ seen
         self.covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
         self._shift(change)
         self.accepted, self.rejected = self.accepted + 1, 0
         self.measured_at = max(self.measured_at, stamp)
-        self._outside = [one._replace(accepted_since=one.accepted_since + 1) for one in self._outside]
-        self._check_innovations(np.linalg.solve(np.linalg.cholesky(spread), miss), miss)
+        if self._outside:
+            self._outside = [one._replace(accepted_since=one.accepted_since + 1) for one in self._outside]
+        self._check_innovations(whitened, miss)
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
@@ -399,6 +417,8 @@ class PoseFilter:
 
     def _with_slip(self, along: float, yaw: float) -> FloatArray:
         """Return the covariance increased by a slip along the heading [m] and in yaw [rad], Shape (6, 6)."""
+        if along == yaw == 0.0:
+            return self.covariance
         c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
         found: FloatArray = self.covariance.copy()
         found[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
@@ -412,22 +432,23 @@ class PoseFilter:
 
     def _shift(self, change: FloatArray) -> None:
         pose = self.pose
-        x, y, yaw = change[:3].tolist()
+        x, y, yaw, scale, drift, delay = change.tolist()
         self._estimate = Pose2(pose.x + x, pose.y + y, pose.yaw + yaw)
-        self.systematic = self.systematic + change[3:]
-        self.systematic[2] = min(max(self.systematic[2], -_LONGEST_DELAY), _LONGEST_DELAY)
+        known_scale, known_drift, known_delay = self.systematic.tolist()
+        delay = min(max(known_delay + delay, -_LONGEST_DELAY), _LONGEST_DELAY)
+        self.systematic = np.array((known_scale + scale, known_drift + drift, delay))
 
-    def _velocity_at(self, stamp: float) -> FloatArray:
-        """Return the velocity in the fixed frame at a stamp, Shape (3,) [m/s, m/s, rad/s]."""
+    def _velocity_at(self, stamp: float) -> tuple[float, float, float]:
+        """Return the velocity in the fixed frame at a stamp [m/s, m/s, rad/s]."""
         reckoned = self._reckoned
-        after = min(max(bisect_right(reckoned, stamp, key=_stamp_of), 1), len(reckoned) - 1)
         if len(reckoned) < 2:
-            return np.zeros(3)
+            return 0.0, 0.0, 0.0
+        after = min(max(_count_until(reckoned, stamp), 1), len(reckoned) - 1)
         (begin, before), (end, pose) = reckoned[after - 1], reckoned[after]
         turn = self.pose.yaw - reckoned[-1][1].yaw
         c, s = math.cos(turn), math.sin(turn)
         x, y = (pose.x - before.x) / (end - begin), (pose.y - before.y) / (end - begin)
-        return np.array([c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)])
+        return c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)
 
     def _put_aside(self, stamp: float, measured: Pose2, then: Pose2, noise: FloatArray) -> Verdict:
         """Store a measurement outside the gate, and move the estimate if enough such measurements agree."""
@@ -466,17 +487,14 @@ class PoseFilter:
 
     def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
         """Increase the covariance if the innovations have a persistent sign; a correct model has white innovations."""
-        self._whitened.append(whitened)
-        for count in range(2, min(_SUDDEN, len(self._whitened)) + 1):
-            total = np.sum(list(self._whitened)[-count:], axis=0)
-            if float(total @ total) / count > _SUDDEN_GATE and self._driven() > _SLIPPED:
+        newest = self._whitened
+        newest.append(tuple(whitened.tolist()))
+        for count in range(2, min(_SUDDEN, len(newest)) + 1):
+            if _mean_square(newest, count) > _SUDDEN_GATE and self._driven() > _SLIPPED:
                 self.covariance[:3, :3] += np.multiply.outer(miss, miss)
                 self._whitened.clear()
                 return
-        if len(self._whitened) < _INNOVATIONS:
-            return
-        total = np.sum(self._whitened, axis=0)
-        if float(total @ total) / _INNOVATIONS <= GATE:
+        if len(newest) < _INNOVATIONS or _mean_square(newest, _INNOVATIONS) <= GATE:
             return
         self._whitened.clear()
         self.doubts += 1
@@ -517,11 +535,10 @@ def _grown(
     covariance: FloatArray, before: Pose2, after: Pose2, step: Pose2, period: float, errors: OdometryErrors
 ) -> FloatArray:
     """Return the covariance after a step of odometry, Shape (6, 6)."""
-    way, turn = step.x, abs(normalize_angle(step.yaw))
-    driven = math.hypot(step.x, step.y)
-    middle = before.yaw + 0.5 * normalize_angle(step.yaw)
+    way, turn = step.x, step.yaw if -math.pi < step.yaw <= math.pi else normalize_angle(step.yaw)
+    driven, middle = math.hypot(step.x, step.y), before.yaw + 0.5 * turn
     c, s = math.cos(middle), math.sin(middle)
-    slope = np.eye(6)
+    slope = _IDENTITY.copy()
     slope[0, 2], slope[1, 2] = before.y - after.y, after.x - before.x
     slope[0, 3], slope[1, 3], slope[2, 4] = c * way, s * way, way
     grown: FloatArray = slope @ covariance @ slope.T
@@ -530,8 +547,45 @@ def _grown(
     grown[1, 1] += s * s * along + wander
     grown[0, 1] += c * s * along
     grown[1, 0] += c * s * along
-    grown[2, 2] += errors.yaw_per_way**2 * driven + errors.yaw_per_turn**2 * turn + errors.yaw_wander**2 * period
+    grown[2, 2] += errors.yaw_per_way**2 * driven + errors.yaw_per_turn**2 * abs(turn) + errors.yaw_wander**2 * period
     return grown
+
+
+def _whitening(spread: FloatArray) -> FloatArray:
+    """Return the inverse W of the Cholesky factor of a covariance, W' W = inverse of `spread`. Shape (3, 3).
+
+    Raises:
+        LinAlgError: If the covariance is not positive definite.
+    """
+    (a, _, _), (b, d, _), (c, e, f) = spread.tolist()
+    first = _root(a)
+    b, c = b / first, c / first
+    second = _root(d - b * b)
+    e = (e - b * c) / second
+    third = _root(f - c * c - e * e)
+    lower = -b / (first * second)
+    return np.array(
+        (
+            (1.0 / first, 0.0, 0.0),
+            (lower, 1.0 / second, 0.0),
+            (-(c / first + e * lower) / third, -e / (second * third), 1.0 / third),
+        )
+    )
+
+
+def _root(pivot: float) -> float:
+    if not pivot > 0.0:
+        raise np.linalg.LinAlgError("the covariance of a measurement is not positive definite")
+    return math.sqrt(pivot)
+
+
+def _mean_square(innovations: deque[tuple[float, ...]], count: int) -> float:
+    """Return the squared norm of the sum of the newest `count` innovations, divided by their number."""
+    x = y = z = 0.0
+    for k in range(-count, 0):
+        one = innovations[k]
+        x, y, z = x + one[0], y + one[1], z + one[2]
+    return (x * x + y * y + z * z) / count
 
 
 def _difference(pose: Pose2, reference: Pose2) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,7 @@ from optdock.executor.task_states import (
     TaskFailed,
 )
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.model.costs import LETHAL, NO_INFORMATION
 from optdock.model.segments import TurnSegment
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from optdock.executor.planning import DrivenMotion, PlanRequests, PlanResult
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
+    from optdock.model.clearance_rule import ClearanceRule
     from optdock.model.costmap import Costmap
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
@@ -71,6 +74,7 @@ _PAUSE = 3.0  # factor on the usual pause between two plans
 _WATCHED = 0.005  # [m]: leaving a narrower tube, such as at contact, does not start a plan, as noise may be the cause
 _LAST_REPLAN = 0.15  # [m] in front of the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
+_ROUNDING = 1e-9  # [m]
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
 
 _LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
@@ -169,14 +173,14 @@ class TrajectoryDrive:
             raise TaskFailed(_LATE_ENDINGS.get(self._state, EndingKind.FAILED_TO_CONTROL), reason)
         self._check_costmap()
         at_time, reason = self._blocked  # stop in time, even while another motion is being planned
-        if at_time - self._reference[0] < situation.braking_time + _STALE_STOP:
-            raise Interrupted("obstacle ahead", reason)
         time, _ = self._reference
+        if at_time - time < situation.braking_time + _STALE_STOP:
+            raise Interrupted("obstacle ahead", reason)
         if time >= 0.0:
             has_left = self._place.update(situation.perception.robot, time)
             self.deviation = self._place.deviation
             self._is_urgent = self._is_urgent or has_left
-        return self._is_finished()
+        return self._is_finished(time)
 
     def command(self) -> Twist2:
         """Return the command of the controller.
@@ -272,9 +276,10 @@ class TrajectoryDrive:
         is_reached = self._goal_checker.is_goal_reached(relative, goal, situation.twist, path)
         return EndingKind.DOCKED_BY_DISTANCE if is_reached else None
 
-    def _is_finished(self) -> bool:
+    def _is_finished(self, time: float) -> bool:
+        """Whether the motion ends at the time of the reference [s]."""
         situation, settings = self._situation, self._situation.settings
-        now, (time, _) = situation.now, self._reference
+        now = situation.now
         if time >= self.motion.trajectory.duration - _INSTANT:
             if self._is_stop:
                 raise Interrupted("stopped", "no certified continuation exists from the current state")
@@ -319,7 +324,8 @@ class TrajectoryDrive:
             if result is not None:
                 self._take_over(result)
             return
-        if self._is_stop or self._next_goal is not None or not settings.replanning:
+        is_asked = self._is_urgent or self._shorter_way.is_due or self._is_check_due
+        if self._is_stop or self._next_goal is not None or not (settings.replanning and is_asked):
             return
         time, rate = self._reference
         if not self._is_urgent:
@@ -329,7 +335,7 @@ class TrajectoryDrive:
                 self._is_from_rest = True
                 self._requests.submit(self._shorter_way.job(self.motion, time, here, self._costmap))
                 return
-            if not self._is_approach or situation.now - self._checked_at < _CHECK_PERIOD - _INSTANT:
+            if not self._is_check_due:
                 return
             self._checked_at = situation.now
             if not self._leaves_error(time) or situation.now - self._submitted_at < self._pause:
@@ -359,6 +365,11 @@ class TrajectoryDrive:
             )
         )
 
+    @property
+    def _is_check_due(self) -> bool:
+        """Whether the error that an approach leaves at the dock has to be checked."""
+        return self._is_approach and self._situation.now - self._checked_at >= _CHECK_PERIOD - _INSTANT
+
     def _leaves_error(self, time: float) -> bool:
         """Whether feedback would leave an error at the dock that is large enough to justify a new plan.
 
@@ -371,9 +382,9 @@ class TrajectoryDrive:
             return False
         if not 0.0 <= time < trajectory.duration or isinstance(trajectory.path.segments[-1], TurnSegment):
             return False  # a turn at the end corrects the heading and leaves no distance for an offset
-        now, gear = trajectory.at(time), situation.estimate.gear
+        (now,), gear = trajectory.table.rows(time), situation.estimate.gear
         left = trajectory.path.length - now.s
-        error = self._pose.in_frame_of(now.pose)
+        error = self._pose.in_frame_of(Pose2(now.x, now.y, now.yaw))
         limits, dock, sigma = situation.problem.robot.limits, situation.problem.dock, perception.sigma
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
@@ -434,15 +445,29 @@ class TubeMonitor:
     def __init__(
         self, motion: DrivenMotion, robot: Robot, *, is_stop: bool, report: Callable[[str, str], None]
     ) -> None:
-        self._trajectory, self._robot, self._report = motion.trajectory, robot, report
+        self._trajectory, self._report = motion.trajectory, report
+        self._radius = robot.footprint.circumscribed_radius
         self._poses = _SampledPath(motion.trajectory.path)
         law = motion.trajectory.time_law
-        self._times_of_places = law.states[:, 0], law.times
+        self._times_of_places = np.ascontiguousarray(law.states[:, 0]), law.times
         self.time = 0.0
         self.deviation: Pose2 | None = None
-        proven = not is_stop and (robot.tracking.cross > 0.0 or robot.tracking.yaw > 0.0)
-        self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
+        self._motion, self._is_proven = motion, not is_stop and (robot.tracking.cross > 0.0 or robot.tracking.yaw > 0.0)
         self._is_outside = False
+
+    @functools.cached_property
+    def _tube(self) -> Tube:
+        """The tube, which is sampled in the first cycle of the drive and not in the cycle that takes over."""
+        return Tube(self._trajectory.path, self._motion.problem, self._motion.start_relief)
+
+    @functools.cached_property
+    def _least_widths(self) -> list[float]:
+        """Lower bounds of the width of the tube between the sampled poses [m]."""
+        problem, places = self._motion.problem, self._poses.places
+        widths, step = self._tube.width_at(places), float(places[1])
+        steepest = sum(_steepest(rule) for rule in (problem.path_clearance, problem.clearance))
+        least: list[float] = (0.5 * (widths[:-1] + widths[1:]) - 0.5 * step * steepest - _ROUNDING).tolist()
+        return least
 
     def time_at(self, s: float) -> float:
         """Return the time [s] at which the plan passes an arc length [m] of the path."""
@@ -456,20 +481,23 @@ class TubeMonitor:
         Returns: Whether the robot has just left the tube at a position where a new plan is useful.
         """
         path = self._trajectory.path
-        begin = float(self._trajectory.time_law.at(time)[0, 0])
+        begin = self._trajectory.time_law.state_at(time)[0]
         place, gear = self._poses.at(begin)
         ahead = gear * robot.in_frame_of(place).x
         s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
         self.deviation = off = robot.in_frame_of(self._poses.at(s)[0])
         self.time = max(time, self.time_at(s))
-        if self._tube is None:
+        if not self._is_proven:
             return False
-        radius = self._robot.footprint.circumscribed_radius
-        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
-        width = float(self._tube.width_at(np.array([s]))[0])
-        if moved > width:  # relative to this pose; another pose of the path may be nearer
-            found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
-            moved, width = float(found.displacement[0]), float(found.width[0])
+        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, self._radius))
+        if not self._is_outside and (
+            moved <= self._least_widths[self._poses.interval_of(s)]
+            or moved <= float(self._tube.width_at(np.array([s]))[0])
+        ):
+            return False
+        # The deviation above is relative to this pose; another pose of the path may be nearer.
+        found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
+        moved, width = float(found.displacement[0]), float(found.width[0])
         is_outside = moved > width
         if is_outside == self._is_outside:
             return False
@@ -480,23 +508,40 @@ class TubeMonitor:
 
 
 class _SampledPath:
-    """The poses of a path at equal distances, for fast interpolation."""
+    """The poses of a path at equal distances, for fast interpolation.
+
+    Attributes:
+        places: Arc lengths of the poses, Shape (n,) [m].
+    """
 
     def __init__(self, path: Path) -> None:
         count = max(1, math.ceil(path.length / _SAMPLES))
-        places = np.linspace(0.0, path.length, count + 1)
+        self.places = np.linspace(0.0, path.length, count + 1)
         self._step = path.length / count
-        self._poses: list[list[float]] = path.poses_at(places).tolist()
-        self._gears: list[float] = path.direction_at(places).astype(np.float64).tolist()
+        self._poses: list[list[float]] = path.poses_at(self.places).tolist()
+        self._last = count - 1
+        self._gears: list[float] = path.direction_at(self.places).astype(np.float64).tolist()
+
+    def interval_of(self, s: float) -> int:
+        """Return the number of the interval between two sampled poses that contains an arc length [m]."""
+        found = int(s / self._step)
+        return 0 if found < 0 else self._last if found > self._last else found
 
     def at(self, s: float) -> tuple[Pose2, float]:
         """Return the pose and the gear at an arc length [m] of the path."""
-        i = min(max(int(s / self._step), 0), len(self._poses) - 2)
+        i = self.interval_of(s)
         share = s / self._step - i
         (x, y, yaw), (far_x, far_y, far_yaw) = self._poses[i : i + 2]
         turned = normalize_angle(far_yaw - yaw)
         pose = Pose2(x + share * (far_x - x), y + share * (far_y - y), yaw + share * turned)
         return pose, self._gears[i]
+
+
+def _steepest(rule: ClearanceRule) -> float:
+    """Return the largest change of the required clearance per distance [1]."""
+    growth = rule.required - min(rule.at_dock, rule.required if rule.at_start is None else rule.at_start)
+    by_taper = growth / rule.taper if rule.taper > 0.0 else math.inf if growth > 0.0 else 0.0
+    return max(by_taper, START_RELIEF_SLOPE)
 
 
 class ShorterWay:
@@ -511,6 +556,12 @@ class ShorterWay:
         """Make the next call of `may_exist` compare its costmap with the costmap of the plan."""
         self._is_new = True
 
+    @property
+    def is_due(self) -> bool:
+        """Whether a new costmap has to be compared, and enough time has passed since the last job."""
+        pause = _PAUSE * self._situation.settings.replan_pause
+        return self._is_new and self._situation.now - self._submitted_at >= pause
+
     def may_exist(self, motion: DrivenMotion, time: float, pose: Pose2, costmap: Costmap | None) -> bool:
         """Whether an obstacle has disappeared from the newest costmap and a plan from rest may be shorter.
 
@@ -521,8 +572,7 @@ class ShorterWay:
             costmap: Newest costmap; None without one.
         """
         situation, end = self._situation, motion.trajectory.path.end
-        pause = _PAUSE * situation.settings.replan_pause
-        if not self._is_new or situation.now - self._submitted_at < pause:
+        if not self.is_due:
             return False
         self._is_new = False
         least = pose.distance_to(end) / situation.problem.robot.limits.max_speed  # lower bound of any plan's duration

@@ -27,7 +27,7 @@ from optdock.model.dock import DockDirection
 from optdock.model.problem import ProblemFingerprint
 from optdock.verification.clearance_kernel import compiled_clearances
 from optdock.verification.path_rules import STRAIGHT_TOLERANCE
-from optdock.verification.proximity import end_clearances
+from optdock.verification.proximity import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,7 +6,9 @@ This is the only implementation of this motion in the library: `constant_jerk` e
 
 from __future__ import annotations
 
+import functools
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
@@ -151,7 +153,7 @@ class TimeLaw(FrozenArrays):
     def __repr__(self) -> str:
         return f"<TimeLaw {self.duration:.3f} s in {self.durations.size} phases of constant jerk>"
 
-    @property
+    @functools.cached_property
     def duration(self) -> float:
         """Total time [s]."""
         return float(self.times[-1])
@@ -162,6 +164,19 @@ class TimeLaw(FrozenArrays):
         phase = self._phases_at(points)
         (s, v, a), jerk = self.states[phase].T, self.jerks[phase]
         return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
+
+    def state_at(self, t: float) -> tuple[float, float, float]:
+        """Return distance, speed and acceleration at one time [s], clipped; several times as fast as `at`."""
+        begins, states, jerks = self._phases
+        t = min(max(t, 0.0), self.duration)
+        phase = bisect_right(begins, t, 1) - 1
+        return constant_jerk(t - begins[phase], *states[phase], jerks[phase])
+
+    @functools.cached_property
+    def _phases(self) -> tuple[list[float], list[tuple[float, float, float]], list[float]]:
+        """Begin, state at the begin, and jerk of every phase."""
+        states = [(s, v, a) for s, v, a in self.states[:-1].tolist()]
+        return self.times[:-1].tolist(), states, self.jerks.tolist()
 
     def phase_middles(self, t: FloatArray) -> FloatArray:
         """Return, for each time `t`, Shape (n,) [s], the mean of the end distances of its phase. Shape (n,) [m]."""

@@ -138,7 +138,7 @@ class Path(FrozenArrays):
         frame = f" in {self.frame!r}" if self.frame else ""
         return f"<Path {self.driven:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{frame}>"
 
-    @property
+    @functools.cached_property
     def length(self) -> float:
         """Arc length [m] over all gears and turns in place, which is the largest `s`."""
         return float(self.segment_starts[-1])
@@ -181,7 +181,7 @@ class Path(FrozenArrays):
         """Return the path transformed by a rigid motion of the plane: every pose p becomes `move @ p`."""
         return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
 
-    @property
+    @functools.cached_property
     def cusps(self) -> tuple[float, ...]:
         """Arc lengths [m] at which the robot rests: gear changes, and the two ends of turns in place."""
         return tuple(float(s) for s in self.segment_starts[1:-1])

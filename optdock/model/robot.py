@@ -165,11 +165,20 @@ def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFE
         most = limits.max_curvature * abs(v) if v != 0.0 else 0.0
         w = min(max(w, -most), most)
     top = limits.max_speed if v >= 0.0 else limits.max_reverse_speed
+    speed, turn = abs(v), abs(w)
+    rim, lateral = speed + 0.5 * limits.track_width * turn, speed * turn
+    if (
+        speed <= top
+        and turn <= limits.max_yaw_rate
+        and rim <= limits.max_wheel_speed
+        and lateral <= limits.max_lateral_acceleration
+    ):
+        return command if w == command.angular and command.lateral == 0.0 else Twist2(v, w)
     scale = min(
-        _share(top, abs(v)),
-        _share(limits.max_yaw_rate, abs(w)),
-        _share(limits.max_wheel_speed, abs(v) + 0.5 * limits.track_width * abs(w)),
-        math.sqrt(_share(limits.max_lateral_acceleration, abs(v * w))),
+        _share(top, speed),
+        _share(limits.max_yaw_rate, turn),
+        _share(limits.max_wheel_speed, rim),
+        math.sqrt(_share(limits.max_lateral_acceleration, lateral)),
     )
     return Twist2(v * scale, w * scale)
 

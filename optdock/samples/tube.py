@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["Deviations", "Tube"]
 
 _SPACING = 0.002  # [m] between the first candidates; next to a cusp, coarser ones may select the wrong gear
-_CLOSE = 2e-4  # [m]: resolution of the search, the largest error of a displacement
+# Candidates of two rounds, the second one fifth as wide, in units of the spacing. A single pose is compared with all of
+# them at once, because a round of few candidates takes as long as one of many.
 _AROUND = readonly(np.linspace(-1.0, 1.0, 11))
+_ALL_AROUND = readonly(np.linspace(-1.2, 1.2, 61))
 
 
 class Deviations(NamedTuple):
@@ -91,16 +93,17 @@ class Tube:
             rows = slice(max(0, int(low) - 1), int(high) + 1)
         places, known, widths = self._s[rows], self._poses[rows], self._known_widths[rows]
         first = [int(np.argmin(self._displacements(pose, known) - widths)) for pose in poses]
-        s, step = places[first], self._s[1] - self._s[0]
-        while step > _CLOSE:
-            around = np.clip(s[:, None] + step * _AROUND, 0.0, self.path.length)
-            candidates = self.path.poses_at(around.ravel()).reshape(*around.shape, 3)
-            excess = self._displacements(poses[:, None], candidates)
-            excess -= self._widths(candidates.reshape(-1, 3)).reshape(around.shape)
-            s, step = around[np.arange(len(s)), np.argmin(excess, axis=1)], 0.2 * step
-        at = self.path.poses_at(s)
+        s, step, every = places[first], self._s[1] - self._s[0], np.arange(len(poses))
+        at, moved, width = known[first], self._displacements(poses, known[first]), widths[first]
+        for around in (_ALL_AROUND,) if len(poses) == 1 else (_AROUND, 0.2 * _AROUND):
+            tried = np.minimum(np.maximum(s[:, None] + step * around, 0.0), self.path.length)
+            candidates = self.path.poses_at(tried.ravel()).reshape(*tried.shape, 3)
+            off = self._displacements(poses[:, None], candidates)
+            wide = self._widths(candidates.reshape(-1, 3)).reshape(tried.shape)
+            best = every, np.argmin(off - wide, axis=1)
+            s, at, moved, width = tried[best], candidates[best], off[best], wide[best]
         error = pose_errors(poses, at)
-        return Deviations(s, error[:, 0], error[:, 1], error[:, 2], self._displacements(poses, at), self._widths(at))
+        return Deviations(s, error[:, 0], error[:, 1], error[:, 2], moved, width)
 
     def _displacements(self, poses: FloatArray, references: FloatArray) -> FloatArray:
         off = np.hypot(references[..., 0] - poses[..., 0], references[..., 1] - poses[..., 1])

@@ -315,6 +315,8 @@ HOLD_NO_ARRAYS = {
     "_prepared",
     "_library",
     "map_digest",
+    "peaks",
+    "radius_of",
 }
 
 
