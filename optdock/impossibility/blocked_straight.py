@@ -25,7 +25,6 @@ from optdock.geometry.pose import transform_points
 from optdock.impossibility.proof import SLACK, ImpossibilityVerdict, least_required
 from optdock.model.dock import DockDirection
 from optdock.model.problem import ProblemFingerprint
-from optdock.verification.clearance_kernel import compiled_clearances
 from optdock.verification.path_rules import STRAIGHT_TOLERANCE
 from optdock.verification.proximity import end_clearances, pose_clearances
 
