@@ -37,6 +37,7 @@ __all__ = [
 ]
 
 _KERNEL = Kernel("optdock_project_and_roll_out", sizes=6, numbers=6)
+_END_SENSITIVITY = Kernel("optdock_end_sensitivity", sizes=4, numbers=0)
 
 
 def _project_native(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
@@ -161,6 +162,20 @@ def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: Float
     return pose, moves
 
 
+def _end_sensitivity_native(basis: Basis, variables: Variables, moves: FloatArray) -> FloatArray:
+    out = np.empty((3, basis.size))
+    arrays = (
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
+        (basis.divisions, 2 * basis.num_gears),
+        (np.concatenate(variables), basis.size),
+        (moves, 4 * basis.num_intervals),
+        (out, 3 * basis.size),
+    )
+    _END_SENSITIVITY((basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals), (), arrays)
+    return out
+
+
+@twin_of(_end_sensitivity_native)
 def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> FloatArray:
     """Return the derivatives of the last pose, Shape (3, size), from the moves of the roll-out."""
     knots, (curvature, lengths) = basis.num_knots, variables

@@ -29,7 +29,7 @@ from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.collision_scene import Scene, scene_around
 from smoothers.scp.collision.linearization import separating_plane_rows
 from smoothers.scp.cost import CostModel
-from smoothers.scp.goal_projection import onto_goal, project_and_roll_out
+from smoothers.scp.goal_projection import end_sensitivity, onto_goal, project_and_roll_out
 from smoothers.scp.nlp import Ends, NonlinearProgram, TracedInput, VariableBounds
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 from smoothers.scp.settings import DEFAULT_SETTINGS
@@ -232,7 +232,7 @@ def rolled(nlp: NonlinearProgram, variables: Variables) -> list[FloatArray]:
     projected, driven = project_and_roll_out(nlp, variables)
     closed = onto_goal(basis, variables, ends, nlp.bounds, nlp.settings.projection)
     given, by = roll_out(basis, variables, ends.start, ends.signs), sensitivity(basis, projected, driven)
-    found = [*projected, *driven, *closed, *given, *by]
+    found = [*projected, *driven, *closed, *given, *by, end_sensitivity(basis, projected, driven.moves)]
     if nlp.scene is not None:
         near = clearance_along(nlp.scene, basis, driven, ends.signs, 0.3)
         every = np.arange(near.margin.size)
