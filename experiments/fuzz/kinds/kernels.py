@@ -195,9 +195,12 @@ def _roll_outs(case: Case) -> Verdict:
 
 
 def drawn_program(rng: np.random.Generator, start: FloatArray, degenerate: str) -> tuple[NonlinearProgram, Variables]:
-    """Draw bounds, a target and variables; see `BENT` for the last argument. The program has no cost and no scene."""
+    """Draw bounds, a target and variables; see `BENT` for the last argument. The program has no cost and no scene.
+
+    Short gears are long enough that poses differ: among vertices in equal places NumPy selects any.
+    """
     basis = basis_for(_SHAPES[int(rng.integers(len(_SHAPES)))])
-    lengths = rng.uniform(0.1, 2.0, basis.num_gears) * (1e-9 if degenerate == "short" else 1.0)
+    lengths = rng.uniform(0.1, 2.0, basis.num_gears) * (1e-6 if degenerate == "short" else 1.0)
     curvature = rng.uniform(-2.0, 2.0, basis.num_knots) * rng.choice([0.01, 0.3, 1.0])
     signs = rng.choice([-1.0, 1.0], basis.num_gears)
     curvature *= 0.0 if degenerate == "straight" else 1.0
