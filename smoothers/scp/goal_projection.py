@@ -37,16 +37,13 @@ __all__ = [
 ]
 
 _KERNEL = Kernel("optdock_project_and_roll_out", sizes=6, numbers=6)
+_END_SENSITIVITY = Kernel("optdock_end_sensitivity", sizes=4, numbers=0)
 
 
 def _project_native(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
-    count = 4 * nlp.basis.num_nodes + 6 * nlp.basis.num_intervals
-    inner, alternations = nlp.inner_bounds, nlp.settings.projection.alternations
-    rates = nlp.bounds.rate, inner.rate
-    found, out = _run(
-        nlp.basis, variables, nlp.ends, (nlp.bounds, inner), nlp.settings.projection, (alternations, *rates)
-    )
-    return found, Rollout.within(out[:count], nlp.basis)
+    settings, bounds = nlp.settings.projection, (nlp.bounds, nlp.inner_bounds)
+    found, out = _run(nlp.basis, variables, nlp.ends, bounds, settings, settings.alternations)
+    return found, Rollout.within(out[: 4 * nlp.basis.num_nodes + 6 * nlp.basis.num_intervals], nlp.basis)
 
 
 @twin_of(_project_native)
@@ -70,21 +67,21 @@ def _run(
     ends: Ends,
     bounds: tuple[VariableBounds, VariableBounds],
     settings: GoalProjectionSettings,
-    more: tuple[int, float, float],
+    alternations: int,
 ) -> tuple[Variables, FloatArray]:
-    """Return the result of the kernel and its array `out`; `more`: number of alternations and both rates."""
+    """Return the result of the kernel and its array `out`; `bounds`: those of the result and the tighter ones."""
     size, count = basis.size, 4 * basis.num_nodes + 6 * basis.num_intervals
     limits = bounds[0].lower, bounds[0].upper, bounds[1].lower, bounds[1].upper
     given = np.concatenate((*variables, ends.start, ends.signs, ends.target, *limits))
     out = np.empty(count + 7 * size)
     arrays = (
-        (basis.packed, basis.packed.size),
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
         (basis.divisions, 2 * basis.num_gears),
         (given, 5 * size + 6 + basis.num_gears),
         (out, count + 7 * size),
     )
-    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, settings.max_steps, more[0]
-    numbers = settings.tolerance, settings.renew, settings.contraction, ends.reach, more[1], more[2]
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, settings.max_steps, alternations
+    numbers = settings.tolerance, settings.renew, settings.contraction, ends.reach, bounds[0].rate, bounds[1].rate
     _KERNEL(sizes, numbers, arrays)
     return Variables(out[count : count + basis.num_knots], out[count + basis.num_knots : count + size]), out
 
@@ -92,7 +89,7 @@ def _run(
 def _onto_goal_native(
     basis: Basis, variables: Variables, ends: Ends, bounds: VariableBounds, settings: GoalProjectionSettings
 ) -> Variables:
-    return _run(basis, variables, ends, (bounds, bounds), settings, (-1, bounds.rate, bounds.rate))[0]
+    return _run(basis, variables, ends, (bounds, bounds), settings, -1)[0]
 
 
 @twin_of(_onto_goal_native)
@@ -165,6 +162,20 @@ def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: Float
     return pose, moves
 
 
+def _end_sensitivity_native(basis: Basis, variables: Variables, moves: FloatArray) -> FloatArray:
+    out = np.empty((3, basis.size))
+    arrays = (
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
+        (basis.divisions, 2 * basis.num_gears),
+        (np.concatenate(variables), basis.size),
+        (moves, 4 * basis.num_intervals),
+        (out, 3 * basis.size),
+    )
+    _END_SENSITIVITY((basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals), (), arrays)
+    return out
+
+
+@twin_of(_end_sensitivity_native)
 def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> FloatArray:
     """Return the derivatives of the last pose, Shape (3, size), from the moves of the roll-out."""
     knots, (curvature, lengths) = basis.num_knots, variables

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
+from optdock.geometry.arrays import readonly
 from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
 from smoothers.scp.goal_projection import project_and_roll_out
@@ -26,12 +28,13 @@ from smoothers.scp.visibility_constraint import linearized_view, view_along
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from smoothers.scp.basis import Basis
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
-    from smoothers.scp.settings import LoopSettings
+    from smoothers.scp.settings import LoopSettings, StepSettings
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
@@ -200,7 +203,12 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
     wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
     rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
-    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
+    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[_trusted(basis, settings)], rows)
+
+
+@lru_cache(maxsize=16)  # as many as bases
+def _trusted(basis: Basis, settings: StepSettings) -> IntArray:
+    return readonly(trusted_nodes(basis, settings))
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:

@@ -80,7 +80,7 @@ def _roll_out_native(basis: Basis, variables: Variables, start: FloatArray, sign
     count = 4 * basis.num_nodes + 6 * basis.num_intervals
     packed, given = np.empty(count), np.concatenate((*variables, start, signs))
     arrays = (
-        (basis.packed, basis.packed.size),
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
         (basis.divisions, 2 * basis.num_gears),
         (given, basis.size + 3 + basis.num_gears),
         (packed, count),
@@ -112,7 +112,7 @@ def roll_out(basis: Basis, variables: Variables, start: FloatArray, signs: Float
 def _sensitivity_native(basis: Basis, variables: Variables, rollout: Rollout) -> Sensitivity:
     out, work = np.empty((3, basis.num_nodes, basis.size)), 4 * basis.size
     arrays = (
-        (basis.packed, basis.packed.size),
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
         (basis.divisions, 2 * basis.num_gears),
         (np.concatenate(variables), basis.size),
         (rollout.moves, 4 * basis.num_intervals),

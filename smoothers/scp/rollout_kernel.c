@@ -243,6 +243,20 @@ static void end_sensitivity(const Basis *b, const double *z, const Vector *moves
     }
 }
 
+/* Compute the derivatives of the last pose alone.
+ *
+ *   gears ... divisions   see `Basis`
+ *   z        curvatures and lengths, (knots + gears,) = (size,)
+ *   moved    displacements by the Gauss points, (2 intervals, 2)
+ *   out      out, (3, size): derivatives of x, y and yaw */
+int64_t optdock_end_sensitivity(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, const double *packed,
+                                const int64_t *divisions, const double *z, const double *moved, double *out)
+{
+    Basis b = basis_of(gears, knots, nodes, intervals, packed, divisions);
+    end_sensitivity(&b, z, (const Vector *)moved, out);
+    return 0;
+}
+
 /* Solve the normal equations of the step of least norm, as the functions `_least_norm` and `_solved`: the step is the
  * sum of the rows times `factors`. */
 static void least_norm(const double *jacobian, int64_t size, const double error[3], double factors[3])

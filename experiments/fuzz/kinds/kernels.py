@@ -29,7 +29,7 @@ from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.collision_scene import Scene, scene_around
 from smoothers.scp.collision.linearization import separating_plane_rows
 from smoothers.scp.cost import CostModel
-from smoothers.scp.goal_projection import onto_goal, project_and_roll_out
+from smoothers.scp.goal_projection import end_sensitivity, onto_goal, project_and_roll_out
 from smoothers.scp.nlp import Ends, NonlinearProgram, TracedInput, VariableBounds
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 from smoothers.scp.settings import DEFAULT_SETTINGS
@@ -195,9 +195,12 @@ def _roll_outs(case: Case) -> Verdict:
 
 
 def drawn_program(rng: np.random.Generator, start: FloatArray, degenerate: str) -> tuple[NonlinearProgram, Variables]:
-    """Draw bounds, a target and variables; see `BENT` for the last argument. The program has no cost and no scene."""
+    """Draw bounds, a target and variables; see `BENT` for the last argument. The program has no cost and no scene.
+
+    Short gears are long enough that poses differ: among vertices in equal places NumPy selects any.
+    """
     basis = basis_for(_SHAPES[int(rng.integers(len(_SHAPES)))])
-    lengths = rng.uniform(0.1, 2.0, basis.num_gears) * (1e-9 if degenerate == "short" else 1.0)
+    lengths = rng.uniform(0.1, 2.0, basis.num_gears) * (1e-6 if degenerate == "short" else 1.0)
     curvature = rng.uniform(-2.0, 2.0, basis.num_knots) * rng.choice([0.01, 0.3, 1.0])
     signs = rng.choice([-1.0, 1.0], basis.num_gears)
     curvature *= 0.0 if degenerate == "straight" else 1.0
@@ -232,7 +235,7 @@ def rolled(nlp: NonlinearProgram, variables: Variables) -> list[FloatArray]:
     projected, driven = project_and_roll_out(nlp, variables)
     closed = onto_goal(basis, variables, ends, nlp.bounds, nlp.settings.projection)
     given, by = roll_out(basis, variables, ends.start, ends.signs), sensitivity(basis, projected, driven)
-    found = [*projected, *driven, *closed, *given, *by]
+    found = [*projected, *driven, *closed, *given, *by, end_sensitivity(basis, projected, driven.moves)]
     if nlp.scene is not None:
         near = clearance_along(nlp.scene, basis, driven, ends.signs, 0.3)
         every = np.arange(near.margin.size)

@@ -197,17 +197,17 @@ static double in_body_frame(Counts n, const Scene *scene, const Motion *motion, 
     return box_separation(ahead - (c * wide + s * tall), beside - (s * wide + c * tall));
 }
 
-/* Whether the common box of the rows first to last - 1 is near an obstacle. */
-static int is_group_near(const Scene *scene, const Swept *swept, int64_t first, int64_t last, int64_t obstacle)
+/* Set (low, high) to the common box of the rows first to last - 1, grown by `near` on all sides. */
+static void group(const Scene *scene, const Swept *swept, int64_t first, int64_t last, Vector *low, Vector *high)
 {
-    Vector low = swept->lower[first], high = swept->upper[first];
+    *low = swept->lower[first];
+    *high = swept->upper[first];
     for (int64_t row = first + 1; row < last; row++) {
-        low = (Vector){least(low.x, swept->lower[row].x), least(low.y, swept->lower[row].y)};
-        high = (Vector){most(high.x, swept->upper[row].x), most(high.y, swept->upper[row].y)};
+        *low = (Vector){least(low->x, swept->lower[row].x), least(low->y, swept->lower[row].y)};
+        *high = (Vector){most(high->x, swept->upper[row].x), most(high->y, swept->upper[row].y)};
     }
-    Vector lower = at(scene->lower, obstacle), upper = at(scene->upper, obstacle);
-    return low.x - scene->near < upper.x && high.x + scene->near > lower.x && low.y - scene->near < upper.y &&
-           high.y + scene->near > lower.y;
+    *low = (Vector){low->x - scene->near, low->y - scene->near};
+    *high = (Vector){high->x + scene->near, high->y + scene->near};
 }
 
 /* Find the near pairs in the order of the twin; rows, obstacles: out. apart: out [m]. Return their number. */
@@ -217,10 +217,12 @@ static int64_t near_pairs(Counts n, const Scene *scene, const Motion *motion, co
     int64_t count = 0, total = n.parts * n.intervals;
     for (int64_t first = 0; first < total; first += scene->together) {
         int64_t last = first + scene->together < total ? first + scene->together : total;
+        Vector low, high;
+        group(scene, swept, first, last, &low, &high);
         for (int64_t o = 0; o < n.obstacles; o++) {
-            if (!is_group_near(scene, swept, first, last, o))
-                continue;
             Vector lower = at(scene->lower, o), upper = at(scene->upper, o);
+            if (!(low.x < upper.x && high.x > lower.x && low.y < upper.y && high.y > lower.y))
+                continue;
             for (int64_t row = first; row < last; row++) {
                 double x = most(swept->lower[row].x - upper.x, lower.x - swept->upper[row].x);
                 double y = most(swept->lower[row].y - upper.y, lower.y - swept->upper[row].y);
@@ -280,14 +282,6 @@ typedef struct {
     const Vector *hull, *outline, *edges;
 } Pair;
 
-static double lowest(const Pair *pair, Vector axis)
-{
-    double low = dot(axis, pair->hull[0]);
-    for (int64_t i = 1; i < pair->count; i++)
-        low = least(low, dot(axis, pair->hull[i]));
-    return low;
-}
-
 /* Largest coordinate of the obstacle along an axis, and the first corner that has it. */
 static double support(const Pair *pair, Vector axis, Vector *corner)
 {
@@ -309,10 +303,17 @@ typedef struct {
     double gap;
 } Candidate;
 
+/* Replace the best candidate if an axis separates more. */
 static void consider(const Pair *pair, Vector axis, Candidate *best, int is_first)
 {
     Vector corner;
-    double gap = lowest(pair, axis) - support(pair, axis, &corner);
+    double high = support(pair, axis, &corner), low = dot(axis, pair->hull[0]);
+    for (int64_t i = 1; i < pair->count; i++) {
+        if (!is_first && low - high <= best->gap)
+            return; /* further vertices only lower the gap */
+        low = least(low, dot(axis, pair->hull[i]));
+    }
+    double gap = low - high;
     if (is_first || gap > best->gap || (gap != gap && best->gap == best->gap))
         *best = (Candidate){axis, gap};
 }

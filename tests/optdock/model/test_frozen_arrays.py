@@ -42,9 +42,10 @@ from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
 from optdock.verification.clearance_kernel import packed_footprint
 from smoothers.scp import basis as basis_module
-from smoothers.scp import term_rows
+from smoothers.scp import loop, term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
+from smoothers.scp.settings import DEFAULT_SETTINGS
 
 POSE = Pose2(0.0, 0.0, 0.0)
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
@@ -295,6 +296,7 @@ SHARED = {
     "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
+    "_trusted": lambda: loop._trusted(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
     "_block": lambda: basis_module._block(8, 16),
     "_done": lambda: term_rows._done(basis_for(((8, 2),))),
     "node_shares": lambda: term_rows.node_shares(basis_for(((8, 2),))),
