@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
 
+# Multiplications of a product of matrices; OpenBLAS distributes larger ones over threads, which then wait actively.
+_LARGEST_PRODUCT = 250_000
+
 __all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit", "rest_of_earlier_result", "track"]
 
 
@@ -398,7 +401,7 @@ class _LeastSquares:
         for axis, weight, residual in zip(self.axes, self.weights, self._residuals(rollout), strict=True):
             moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
             gradient += 2.0 * (weight * residual) @ moved
-            hessian += 2.0 * moved.T @ (weight[:, None] * moved)
+            hessian += 2.0 * _product(moved, weight[:, None] * moved)
         goal = end_sensitivity(basis, variables, rollout.moves), nlp.ends.error(rollout)
         headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
         no_rows = ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
@@ -409,3 +412,12 @@ class _LeastSquares:
         away = rollout.poses[:, :2] - self.nlp.traced.positions
         across, along = (axis[:, 0] * away[:, 0] + axis[:, 1] * away[:, 1] for axis in self.axes)
         return across, along
+
+
+def _product(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return `one.T @ other`, in parts that are small enough to be computed in the calling thread."""
+    rows = max(1, _LARGEST_PRODUCT // (one.shape[1] * other.shape[1]))
+    first: FloatArray = one[:rows].T @ other[:rows]
+    for start in range(rows, len(one), rows):
+        first += one[start : start + rows].T @ other[start : start + rows]
+    return first
