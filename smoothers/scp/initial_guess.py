@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
+    from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
@@ -135,14 +136,23 @@ class InitialGuesses:
         is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
-        begun, _ = evaluated(nlp, first)
+        begun = self._evaluated(first)
         is_free = begun.shortfall < nlp.scene.settings.deep * nlp.scene.body.width
         if (begun.on_goal and is_free) or self.is_late():
             return first
         loop = nlp.settings.loop
         penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)
-        does_better = self._is_trackable and evaluated(nlp, self.tracked)[0].merit(penalties) < begun.merit(penalties)
+        does_better = self._is_trackable and self._evaluated(self.tracked).merit(penalties) < begun.merit(penalties)
         return self.tracked if does_better else first
+
+    def _evaluated(self, variables: Variables) -> Iterate:
+        """Return the iterate of variables, which a search that begins with them does not compute again."""
+        self._known.append((variables, evaluated(self.nlp, variables)[0]))
+        return self._known[-1][1]
+
+    @cached_property
+    def _known(self) -> list[tuple[Variables, Iterate]]:
+        return []
 
     @cached_property
     def _fit_driven(self) -> Rollout:
@@ -159,7 +169,8 @@ class InitialGuesses:
         """Return a guess without an earlier result; longer paths are allowed more iterations without improvement."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
-        return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
+        begun = next((iterate for known, iterate in self._known if known is variables), None)
+        return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience, begun)
 
 
 class EarlierResult(NamedTuple):
