@@ -145,29 +145,23 @@ def _memory(values: FloatArray) -> memoryview:
 
 
 def _by_kernel(program: QuadraticProgram) -> Minimizer | None:
-    (m, n), total, guess = program.a.shape, program.bounds.shape[1], program.guess
-    if bool(np.any(program.bounds[0] > program.bounds[1])):
+    (m, n), guess, (lower, upper) = program.a.shape, program.guess, program.bounds
+    if (lower > upper).any():
         return None
-    try:
-        root: FloatArray = np.asarray(np.linalg.cholesky(program.h), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return None
-    solution, found = np.empty(n), np.empty(total, dtype=np.int64)
-    ints, doubles = 4 * n + 5 * m + 1, (n + 1) * (2 * n + 7) + 15 * n + 2 * m + 8 * n * n
+    ints, doubles = 5 * n + 6 * m + 1, (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n
+    found, values = np.empty(ints, dtype=np.int64), np.empty(doubles)
     arrays = (
         (program.h, n * n),
-        (root, n * n),
         (program.g, n),
         (program.a, m * n),
-        (program.bounds, 2 * total),
+        (program.bounds, 2 * (n + m)),
         (guess, guess.size),
-        (solution, n),
-        (found, total),
-        (np.empty(ints, dtype=np.int64), ints),
-        (np.empty(doubles), doubles),
+        (found, ints),
+        (values, doubles),
     )
     count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, EXACT, _AT_BOUND), arrays)
-    return None if count < 0 or not bool(np.isfinite(solution).all()) else Minimizer(solution, found[:count])
+    solution = values[:n].copy()
+    return Minimizer(solution, found[:count].copy()) if count >= 0 and np.isfinite(solution).all() else None
 
 
 @twin_of(_by_kernel)

@@ -19,8 +19,9 @@
 
 typedef struct {
     int64_t n, m, leading;
-    const double *h, *root, *a, *lower, *upper; /* H and L (n, n); (m, n); bounds (n + m,) */
+    const double *h, *a, *lower, *upper; /* (n, n); (m, n); bounds (n + m,) */
     double unbounded;
+    double *root;   /* (n, n), L in the lower triangle */
     int64_t *range; /* (m, 4) */
     double *scale;  /* (n + m,), 1 over an estimate of |m_i| */
     double *x0;     /* (n,), minimizer without constraints */
@@ -99,6 +100,24 @@ static double value_of(const Program *p, int64_t row, const double *x)
     const double *a = p->a + row * p->n;
     const int64_t *range = p->range + 4 * row;
     return dot(a + range[0], x + range[0], range[1] - range[0]) + dot(a + range[2], x + range[2], range[3] - range[2]);
+}
+
+/* Returns whether H is positive definite. */
+static int set_root(const Program *p)
+{
+    for (int64_t i = 0; i < p->n; i++) {
+        double *row = p->root + i * p->n;
+        for (int64_t j = 0; j <= i; j++) {
+            const double *other = p->root + j * p->n;
+            row[j] = p->h[i * p->n + j] - dot(row, other, j);
+            if (j < i)
+                row[j] /= other[j];
+        }
+        if (!(row[i] > 0.0))
+            return 0;
+        row[i] = sqrt(row[i]);
+    }
+    return 1;
 }
 
 static void prepare(const Program *p, const double *g)
@@ -455,23 +474,25 @@ static int find(const Program *p, WorkingSet *w, int64_t rounds, double toleranc
 
 /* Writes the minimizer and the constraints that it attains, and returns their number; -1 if no active set is found.
  *
- * h: (n, n); root: (n, n), L, of which the lower triangle is read; g: (n,); a: (m, n); bounds: (2, n + m), the lower and
- * the upper ones. guess: (guessed,), constraints that are probably active. solution: (n,). found: (n + m,).
- * ints: (4 n + 5 m + 1,). doubles: ((n + 1) (2 n + 7) + 15 n + 2 m + 8 n^2,). */
+ * h: (n, n); g: (n,); a: (m, n); bounds: (2, n + m), the lower and the upper ones. guess: (guessed,), constraints that
+ * are probably active. ints: (5 n + 6 m + 1,), the attained constraints first. doubles:
+ * ((n + 1) (2 n + 7) + 16 n + 2 m + 9 n^2,), the minimizer first. */
 int64_t optdock_minimizer(int64_t n, int64_t m, int64_t leading, int64_t guessed, int64_t rounds, double unbounded,
-                          double tolerance, double attained, const double *h, const double *root, const double *g,
-                          const double *a, const double *bounds, const int64_t *guess, double *solution,
-                          int64_t *found, int64_t *ints, double *doubles)
+                          double tolerance, double attained, const double *h, const double *g, const double *a,
+                          const double *bounds, const int64_t *guess, int64_t *ints, double *doubles)
 {
-    int64_t most = n + 1, *members = ints + n + 5 * m;
-    Program p = {n, m, leading, h, root, a, bounds, bounds + n + m, unbounded, ints, doubles, doubles + n + m};
-    WorkingSet w = {.most = most, .number = members, .taken = ints + 4 * m};
+    int64_t most = n + 1, *found = ints, *range = found + n + m, *members = range + n + 5 * m;
+    double *solution = doubles, *root = solution + n, *scale = root + n * n;
+    Program p = {n, m, leading, h, a, bounds, bounds + n + m, unbounded, root, range, scale, scale + n + m};
+    WorkingSet w = {.most = most, .number = members, .taken = range + 4 * m};
     double *violation = p.x0 + n, *next = violation + n + m;
     double **parts[] = {&w.pivot, &w.wanted, &w.solved, &w.dual, &w.goal, &w.work};
     for (int64_t i = 0; i < 6; i++, next += most)
         *parts[i] = next;
     w.normals = next;
     w.factor = next + most * n;
+    if (!set_root(&p))
+        return -1;
     prepare(&p, g);
     begin(&p, &w, guess, guessed);
     if (!find(&p, &w, rounds, tolerance, solution, violation))

@@ -32,10 +32,14 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
+    from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
+
+# Multiplications of a product of matrices; OpenBLAS distributes larger ones over threads, which then wait actively.
+_LARGEST_PRODUCT = 250_000
 
 __all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit", "rest_of_earlier_result", "track"]
 
@@ -132,14 +136,23 @@ class InitialGuesses:
         is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
-        begun, _ = evaluated(nlp, first)
+        begun = self._evaluated(first)
         is_free = begun.shortfall < nlp.scene.settings.deep * nlp.scene.body.width
         if (begun.on_goal and is_free) or self.is_late():
             return first
         loop = nlp.settings.loop
         penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)
-        does_better = self._is_trackable and evaluated(nlp, self.tracked)[0].merit(penalties) < begun.merit(penalties)
+        does_better = self._is_trackable and self._evaluated(self.tracked).merit(penalties) < begun.merit(penalties)
         return self.tracked if does_better else first
+
+    def _evaluated(self, variables: Variables) -> Iterate:
+        """Return the iterate of variables, which a search that begins with them does not compute again."""
+        self._known.append((variables, evaluated(self.nlp, variables)[0]))
+        return self._known[-1][1]
+
+    @cached_property
+    def _known(self) -> list[tuple[Variables, Iterate]]:
+        return []
 
     @cached_property
     def _fit_driven(self) -> Rollout:
@@ -156,7 +169,8 @@ class InitialGuesses:
         """Return a guess without an earlier result; longer paths are allowed more iterations without improvement."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
-        return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
+        begun = next((iterate for known, iterate in self._known if known is variables), None)
+        return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience, begun)
 
 
 class EarlierResult(NamedTuple):
@@ -398,7 +412,7 @@ class _LeastSquares:
         for axis, weight, residual in zip(self.axes, self.weights, self._residuals(rollout), strict=True):
             moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
             gradient += 2.0 * (weight * residual) @ moved
-            hessian += 2.0 * moved.T @ (weight[:, None] * moved)
+            hessian += 2.0 * _product(moved, weight[:, None] * moved)
         goal = end_sensitivity(basis, variables, rollout.moves), nlp.ends.error(rollout)
         headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
         no_rows = ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
@@ -409,3 +423,12 @@ class _LeastSquares:
         away = rollout.poses[:, :2] - self.nlp.traced.positions
         across, along = (axis[:, 0] * away[:, 0] + axis[:, 1] * away[:, 1] for axis in self.axes)
         return across, along
+
+
+def _product(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return `one.T @ other`, in parts that are small enough to be computed in the calling thread."""
+    rows = max(1, _LARGEST_PRODUCT // (one.shape[1] * other.shape[1]))
+    first: FloatArray = one[:rows].T @ other[:rows]
+    for start in range(rows, len(one), rows):
+        first += one[start : start + rows].T @ other[start : start + rows]
+    return first

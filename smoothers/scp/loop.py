@@ -48,6 +48,7 @@ class SearchGuess(NamedTuple):
     trust_region: float  # first bound of the heading changes of a step [rad]
     proximal: float  # first weight of the squared motion of a step
     patience: int  # iterations within which the shortfall of an infeasible iterate must shrink
+    begun: Iterate | None = None  # iterate of the variables if it is known, see `evaluated`
 
 
 class Iterate(NamedTuple):
@@ -106,7 +107,7 @@ def search(
     state = _State(settings, guess.trust_region, guess.proximal, guess.patience, penalties)
     if is_late():
         return
-    current, _ = evaluated(nlp, guess.variables)
+    current = evaluated(nlp, guess.variables)[0] if guess.begun is None else guess.begun
     yield Progress(current, 0, finished=False)
     around: Subproblem | None = None
     for iteration in range(1, max_iterations + 1):

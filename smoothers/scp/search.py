@@ -461,7 +461,7 @@ class Solver:
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
-            nlp, guess = self._repaired(nlp, refused), guess._replace(variables=refused.variables)
+            nlp, guess = self._repaired(nlp, refused), guess._replace(variables=refused.variables, begun=None)
 
     def _repaired(self, nlp: NonlinearProgram, refused: Iterate) -> NonlinearProgram:
         """Return the program of the next search after a refused candidate."""
