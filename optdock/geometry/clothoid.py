@@ -88,11 +88,9 @@ class ClothoidSpline(FrozenArrays):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
         exactly(Pose2, self.start, "clothoid.start")
         breaks = _refined_breaks(knots, curvature)
-        if breaks is not knots:
-            if not (breaks[1:] > breaks[:-1]).all():
-                raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
-            breaks = readonly(breaks)
-        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), _breaks=breaks)
+        if breaks is not knots and not (breaks[1:] > breaks[:-1]).all():
+            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
+        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), _breaks=readonly(breaks))
         with np.errstate(over="ignore", invalid="ignore"):
             states = self._integrate_breaks()
         if not np.isfinite(states).all():
@@ -102,7 +100,8 @@ class ClothoidSpline(FrozenArrays):
 
     def _integrate_breaks(self) -> FloatArray:
         breaks, states = self._breaks, np.zeros((self._breaks.size, 4))
-        kappa = self.curvature if breaks is self.knots else np.interp(breaks, self.knots, self.curvature)
+        is_refined = breaks.size > self.knots.size
+        kappa = np.interp(breaks, self.knots, self.curvature) if is_refined else self.curvature
         steps, before = breaks[1:] - breaks[:-1], kappa[:-1]
         x, y, yaw, _ = states.T
         (0.5 * steps * (before + kappa[1:])).cumsum(out=yaw[1:])

@@ -214,9 +214,10 @@ def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
         Shape (n, k, 2) [m].
     """
     c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-    x = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
-    y = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
-    return np.stack((x, y), axis=-1)
+    found = np.empty((len(poses), len(points), 2))
+    found[..., 0] = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
+    found[..., 1] = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
+    return found
 
 
 def transform_poses(frame: Pose2, poses: FloatArray) -> FloatArray:

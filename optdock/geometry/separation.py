@@ -189,8 +189,8 @@ class _Along(NamedTuple):
 
 def _better(first: _Along, second: _Along) -> _Along:
     better = second.distance > first.distance
-    distance, x, y = (np.where(better, b, a) for a, b in zip(first, second, strict=True))
-    return _Along(distance, x, y)
+    distance = np.where(better, second.distance, first.distance)
+    return _Along(distance, np.where(better, second.x, first.x), np.where(better, second.y, first.y))
 
 
 def _as_separation(along: _Along) -> Separation:

@@ -139,7 +139,7 @@ def _cheapest_native(words: FloatArray, radius: float, robot: Robot, per_pair: i
     most = n * per_pair
     pair, driven, gears = np.empty(most, dtype=np.int64), np.empty(most), np.empty((most, 3))
     lengths, curvatures = np.empty((most, 5)), np.empty((most, 5))
-    outputs = ((part, part.size) for part in (pair, driven, gears, lengths, curvatures))
+    outputs = [(part, part.size) for part in (pair, driven, gears, lengths, curvatures)]
     numbers = limits.max_speed, limits.max_reverse_speed, robot.reverse_price, radius
     by_arcs = np.ascontiguousarray(np.moveaxis(words, 2, 0))
     found = _WORDS_KERNEL((n, per_pair), numbers, ((by_arcs, 5 * len(TURNS) * n), (TURNS, TURNS.size), *outputs))

@@ -127,7 +127,7 @@ def _tile_values_native(field: DistanceField, tiles: IntArray) -> FloatArray:
     outlines = rocks.lower, rocks.upper, rocks.vertices, rocks.normals, rocks.offsets
     arrays = tiles, field.origin, field.is_box, *outlines, values
     numbers = field.spacing, field.reach
-    _TILES_KERNEL((n, field.tiles, m, k), numbers, tuple((array, array.size) for array in arrays))
+    _TILES_KERNEL((n, field.tiles, m, k), numbers, tuple([(array, array.size) for array in arrays]))
     return values
 
 

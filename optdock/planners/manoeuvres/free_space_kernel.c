@@ -319,8 +319,6 @@ static int64_t stopped(const Space *space, int64_t done, int64_t *progress)
     return 0;
 }
 
-typedef int Check(Space *, double, double, double); /* `is_free` or `may_be_free` */
-
 static int is_free_after(Space *space, const double *from, double length, double curvature)
 {
     double pose[3];
@@ -413,8 +411,9 @@ static int is_free_along(Space *space, const double *start, int64_t count, const
     return found == 1 ? is_free(space, joint[0], joint[1], joint[2]) : found;
 }
 
-/* Whether a sequence of arcs passes a check at shares of its length, ascending; otherwise as `is_free_along`. */
-static int passes_at_shares(Space *space, Check *check, const double *start, int64_t count, const double *lengths,
+/* Whether a sequence of arcs is free at shares of its length, ascending, or may be free in the rough check; otherwise as
+ * `is_free_along`. */
+static int passes_at_shares(Space *space, int is_rough, const double *start, int64_t count, const double *lengths,
                             const double *curvatures, int64_t places, const double *shares, int64_t *checked)
 {
     double pose[3], joint[3] = {start[0], start[1], start[2]}, whole = 0.0, before = 0.0;
@@ -429,7 +428,7 @@ static int passes_at_shares(Space *space, Check *check, const double *start, int
             advance(joint, lengths[j], curvatures[j], joint);
         }
         advance(joint, copysign(s - before, lengths[j]), curvatures[j], pose);
-        found = check(space, pose[0], pose[1], pose[2]);
+        found = (is_rough ? may_be_free : is_free)(space, pose[0], pose[1], pose[2]);
     }
     return found;
 }
@@ -483,7 +482,7 @@ int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t mos
     for (i = progress[0]; i < n && checked < most; i++) {
         const double *start = starts + 3 * i, *along = lengths + count * i, *bends = curvatures + count * i;
         set_box_around(&space, start, count, along);
-        int found = passes_at_shares(&space, is_free, start, count, along, bends, places, shares, &checked);
+        int found = passes_at_shares(&space, 0, start, count, along, bends, places, shares, &checked);
         if (found == 1)
             found = is_free_along(&space, start, count, along, bends, spacing, &checked);
         if (found < 0)
@@ -509,7 +508,7 @@ int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t mo
     Space space = SPACE;
     int64_t i, checked = 0;
     for (i = progress[0]; i < n && checked < most; i++) {
-        int found = passes_at_shares(&space, may_be_free, starts + 3 * i, count, lengths + count * i,
+        int found = passes_at_shares(&space, 1, starts + 3 * i, count, lengths + count * i,
                                      curvatures + count * i, places, shares, &checked);
         if (found < 0)
             break;

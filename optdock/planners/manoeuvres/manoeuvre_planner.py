@@ -200,10 +200,11 @@ class Stages:
         stands = self.problem.start_speed == 0.0 and self.problem.start_acceleration == 0.0
         turns = self.problem.robot.turns_in_place and stands
         most = self._better_than()
-        distance = self.problem.start.distance_to(self.problem.goal)
-        straight_on = float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
-        if straight_on >= most or (not turns and self._cheapest_word >= most):
-            return  # no plan is cheaper, even without obstacles
+        if math.isfinite(most):
+            distance = self.problem.start.distance_to(self.problem.goal)
+            straight_on = float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
+            if straight_on >= most or (not turns and self._cheapest_word >= most):
+                return  # no plan is cheaper, even without obstacles
         words = self._words(self._efforts[0])
         yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
         yield from self._words(self._efforts[1])  # words without a margin are tried by hybrid A*

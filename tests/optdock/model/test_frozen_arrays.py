@@ -33,6 +33,7 @@ from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegme
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import Trajectory
+from optdock.planners.manoeuvres import free_space
 from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, plan_two_segment
 from optdock.samples.tube import Tube
 from optdock.simulation.closed_loop import Run
@@ -292,6 +293,7 @@ def built_in_map():
 # What is computed once for everybody: two proofs would share it with whoever asked for it in between.
 SHARED = {
     "mapped_obstacles": lambda: mapped_obstacles(problem().costmap),
+    "_discs": lambda: free_space._discs(problem().robot.footprint, 4),
     "_bodies": lambda: footprint_discs.disc_cover(problem().robot.footprint, lambda: None),
     "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
