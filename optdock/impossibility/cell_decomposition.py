@@ -58,7 +58,8 @@ _REACH = 0.7  # share of the body's reach at which half a cell's turn moves a po
 _CELL = 0.27
 _LARGEST = 6  # levels of unexamined tiles above level 0
 _GATHERED = 250_000  # distances per vectorized read, less than a millisecond
-_NODES, _AROUND = 129, 6.0  # lattice of the first check; border around start and goal in radii of the largest disc
+_LATTICES = (41, 1.0), (129, 0.0)  # of the first check: nodes along each side, margin in steps
+_AROUND = 6.0  # border of these lattices around start and goal, in radii of the largest disc
 _STEP = 0.004  # [s]: longest time between two checks of the clock, on an idle machine
 _FEWEST_HEADINGS = 8  # of cells of level 0
 _SHARP = 0.25  # tolerance of the margin of the widest route, in halves of a cell
@@ -181,16 +182,30 @@ class _Search:
         self.deadline.look()
 
     def looks_open(self, deadline: Deadline) -> bool:
-        """Whether free nodes of a coarse lattice connect the start to the goal for a disc (a heuristic, no proof)."""
+        """Whether free nodes of a coarse lattice connect the start to the goal for a disc (a heuristic, no proof).
+
+        A coarser lattice with a margin, which connects them in most open scenes, is examined first.
+        """
         self.deadline = deadline
+        return any(self._is_connected(nodes, margin) for nodes, margin in _LATTICES)
+
+    def _is_connected(self, nodes: int, margin: float) -> bool:
+        """Whether free nodes connect start and goal on a lattice with `nodes` along each side.
+
+        `margin`: clearance above the required one at free nodes, in steps of the lattice.
+        """
         _, _, radius = self.body.discs[0].tolist()
         ends, border = np.array(self.ends)[:, :2], radius + self.problem.path_clearance.required
         side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
-        corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (_NODES - 1)
-        x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
-        self._look()
+        corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (nodes - 1)
+        if margin * step > radius:
+            return False  # a wall might be missed between two nodes
+        clearance = self.obstacles.distances(corner, step, nodes) - radius - margin * step
+        is_free = clearance >= self.problem.path_clearance.required
+        row, column = np.nonzero(~is_free & (clearance >= 0.0))  # free if less is required there
+        x, y = (self.grid.origin + corner)[:, None] + step * np.stack((column, row))
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
-        is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
+        is_free[row, column] = clearance[row, column] >= required
         # Nodes near the border are not valid: obstacles outside were not examined.
         kept = slice(math.ceil(border / step), -math.ceil(border / step))
         labels = np.full(is_free.shape, -1)
