@@ -34,7 +34,7 @@ def driven(seed, *, turn):
     segments = [ClothoidSegment(first)]
     if turn:
         segments.append(TurnSegment(first.end, -2.5 if seed % 2 else 1.2))
-    segments.append(ClothoidSegment(curve(turn and segments[-1].end or first.end, seed + 100, sign=-1, sharp=9.0)))
+    segments.append(ClothoidSegment(curve((turn and segments[-1].end) or first.end, seed + 100, sign=-1, sharp=9.0)))
     path = Path(tuple(segments))
     return Trajectory(path, at_rest_at([segment.length for segment in segments]))
 
