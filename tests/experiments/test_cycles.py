@@ -9,7 +9,7 @@ from experiments.benchmarks import cycles
 from optdock.kernels import using_kernels
 
 # 1.2 times the calls that were reached, so that work done twice is noticed.
-MOST = {"TrackingController": (1150, 1900), "MpcController": (1200, 1700)}
+MOST = {"TrackingController": (1090, 1750), "MpcController": (1110, 1570)}
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
