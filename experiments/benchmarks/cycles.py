@@ -47,8 +47,8 @@ def main(arguments: Sequence[str]) -> None:
     gc.collect()
     gc.freeze()  # as a server does after its start: a full collection takes tens of milliseconds
     rows = [_row(world, controller, options) for world in _WORLDS for controller in CONTROLLERS]
-    header = ("world", "controller", "cycles", "CPU ms p50", "p90", "p99", "max", "calls mean", "p99")
-    note = f"{options.dockings} dockings at {_RATE:g} Hz; calls in {options.counted} of them."
+    header = ("world", "controller", "cycles", "ms p50", "ms p90", "ms p99", "ms max", "calls mean", "calls p99")
+    note = f"{options.dockings} dockings at {_RATE:g} Hz, CPU time; calls in {options.counted} of them."
     print(Table("Control cycles of the executor", header, tuple(rows), note))
 
 

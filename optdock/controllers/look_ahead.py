@@ -247,9 +247,10 @@ def near_distances(footprint: Footprint, poses: FloatArray, obstacles: ObstacleS
     Returns:
         Shape (n, m) [m]; infinite for pairs that are farther apart than 0.5 m by their bounding box and circle.
     """
-    found = np.full((n := len(poses), m := len(obstacles)), np.inf)
-    i, o = np.nonzero(box_distance(obstacles, poses[:, :2]) < radius_of(footprint) + _FAR) if n and m else ((), ())
-    if len(i):
+    near = box_distance(obstacles, poses[:, :2]) < radius_of(footprint) + _FAR
+    i, o = np.nonzero(near)
+    found: FloatArray = np.full(near.shape, np.inf)
+    if i.size:
         pieces = obstacles.pieces(o)
-        found[i, o] = np.min([separation(body, poses[i], pieces).distance for body in footprint.bodies], axis=0)
+        found[near] = np.min([separation(body, poses[i], pieces).distance for body in footprint.bodies], axis=0)
     return found

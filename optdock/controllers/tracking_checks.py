@@ -83,9 +83,14 @@ def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) ->
     """Return the tolerances of the goal checker; missing tolerances are taken from the problem's dock."""
     asked = goal_checker.tolerances if goal_checker else None
     dock = context.problem.dock.tolerances if context.problem else DockTolerances()
-    given = (asked.x, asked.y, asked.yaw) if asked else (None, None, None)
-    usual = (dock.along, dock.cross, dock.yaw)
-    return AcceptedErrors(*(u if g is None or g <= 0.0 else g for g, u in zip(given, usual, strict=True)))
+    if asked is None:
+        return AcceptedErrors(dock.along, dock.cross, dock.yaw)
+    x, y, yaw = asked.x, asked.y, asked.yaw
+    return AcceptedErrors(
+        dock.along if x is None or x <= 0.0 else x,
+        dock.cross if y is None or y <= 0.0 else y,
+        dock.yaw if yaw is None or yaw <= 0.0 else yaw,
+    )
 
 
 class _StallTimer:

@@ -238,12 +238,13 @@ class TrackingController(Controller):
             )
         accepted, lag = accepted_errors(goal_checker, self.context), now.lag_of(error)
         is_held = not self._cancelled and waiting_rate(lag, p.slow_down_lag, p.stop_lag) <= _HELD
-        left = accepted if reference.finished and not self._cancelled else None
+        finished = reference.finished
+        left = accepted if finished and not self._cancelled else None
         self._progress_check.check(error, period, p.patience, is_held=is_held, left=left)
         wanted = self._wanted(reference, now, error, accepted)
-        if reference.finished and not self._cancelled:
+        if left is not None:
             wanted = self._finishing(wanted, error, accepted, velocity)
-        in_place, room = now.gear == 0.0 or reference.finished, self._room(reference, now, lag)
+        in_place, room = now.gear == 0.0 or finished, self._room(reference, now, lag)
         command = self._limiter.follow(
             wanted, now.ahead.twist, period, self._limits, self._drive, in_place=in_place, room=room
         )
@@ -272,14 +273,15 @@ class TrackingController(Controller):
             return
         p, period = self.parameters, self._clock.period
         limits = self._limits
-        by_speed, by_turn = abs(command.linear) / limits.max_deceleration, abs(command.angular)
+        speed, turn = abs(command.linear), abs(command.angular)
         # Braking covers half of the distance at constant speed.
-        braking = 0.5 * max(by_speed, by_turn / limits.turning.acceleration)
-        driven = ((before, self._known_delay), (command, period))
+        braking = 0.5 * max(speed / limits.max_deceleration, turn / limits.turning.acceleration)
+        delay = self._known_delay
+        driven = ((before, delay), (command, period))
         radius, phases = radius_of(footprint), (*driven, (command, braking))
-        reach = 0.0
-        for twist, lasts in phases:
-            reach += lasts * (abs(twist.linear) + radius * abs(twist.angular))
+        reach = delay * (abs(before.linear) + radius * abs(before.angular)) + (period + braking) * (
+            speed + radius * turn
+        )
         if self._look_ahead.is_clear(self.context, footprint, pose, reach):
             return
         ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._feedback.scatter)
@@ -290,7 +292,7 @@ class TrackingController(Controller):
         found = obstruction(stopping_way(pose, footprint, phases))
         if found is None:
             return
-        distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
+        distance = abs(before.linear) * delay + speed * (period + braking)
         along_path = reference.way(distance, now.pose, pose)
         if along_path is not None:
             found = obstruction(stopping_way(pose, footprint, driven)) or obstruction(along_path)

@@ -156,6 +156,8 @@ class CheckedDockType:
     def detections(self, measurements: Measurements) -> tuple[Detection, ...]:
         """Return the validated result of `DockType.detections`."""
         found = self._dock_type.detections(measurements)
+        if type(found) is tuple and found is measurements.detections:  # these are valid
+            return found
         if not (isinstance(found, Sequence) and all(_is_detection(one) for one in found)):
             self._refuse("detections", "a sequence of Detection with finite numbers", found)
         return tuple(found)

@@ -209,7 +209,7 @@ class DockingExecutor:
         if failure and not self._detections_fail:
             self._report("detections not used", failure)
         self._detections_fail = bool(failure)
-        return measurements._replace(detections=chosen)
+        return measurements if chosen is measurements.detections else measurements._replace(detections=chosen)
 
     def _watch_log(self) -> None:
         """Report once that the log can no longer be written; the task continues."""

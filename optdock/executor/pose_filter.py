@@ -81,7 +81,9 @@ class DeadReckoning:
                 0.5 * (old.lateral + twist.lateral),
             )
             step = Pose2(*arc_end(0.0, 0.0, 0.0, mean, period))
-            self.pose, self._idle = before @ step, self._idle @ step
+            self.pose = before @ step
+            if self._known is not None:
+                self._idle = self._idle @ step
             self._since.append((stamp, self.pose))
         self._stamp, self._twist = stamp, twist
         if odometry is not None and math.isfinite(odometry.stamp) and odometry.stamp <= stamp + AHEAD:
@@ -96,7 +98,7 @@ class DeadReckoning:
     def _join(self, odometry: OdometryPose) -> None:
         known, then = self._known, _between(self._since, odometry.stamp)
         if known is None:
-            found = then
+            found, self._idle = then, self.pose
         elif odometry.stamp <= known.stamp:
             return
         elif odometry.pose == known.pose and _is_beyond(self._idle, _IDLE):
@@ -441,9 +443,11 @@ class PoseFilter:
     def _velocity_at(self, stamp: float) -> tuple[float, float, float]:
         """Return the velocity in the fixed frame at a stamp [m/s, m/s, rad/s]."""
         reckoned = self._reckoned
-        if len(reckoned) < 2:
+        after = last = len(reckoned) - 1
+        if last < 1:
             return 0.0, 0.0, 0.0
-        after = min(max(_count_until(reckoned, stamp), 1), len(reckoned) - 1)
+        if stamp < reckoned[-1][0]:
+            after = min(max(_count_until(reckoned, stamp), 1), last)
         (begin, before), (end, pose) = reckoned[after - 1], reckoned[after]
         turn = self.pose.yaw - reckoned[-1][1].yaw
         c, s = math.cos(turn), math.sin(turn)

@@ -1,17 +1,28 @@
 """Identification of the drive's delay from commands and speeds."""
 
+import shutil
+
 import numpy as np
 import pytest
 
-from optdock.controllers.delay_estimate import DelayEstimate
+from experiments.fuzz.kinds.kernels import replaced
+from optdock.controllers.delay_estimate import DelayEstimate, advanced
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.kernels import using_kernels
 from optdock.model.limits import MotionLimits
 from optdock.model.robot import Robot
 from optdock.simulation import Actuation, DifferentialDrive
 
 ROBOT = Robot(Footprint.from_radius(0.3), MotionLimits())
 RAMP = [min(0.4, 0.008 * k) for k in range(120)]
+
+
+@pytest.fixture(autouse=True)
+def _no_kernel_is_replaced():
+    """A kernel whose first result differs is replaced by its twin, and would be equal to it."""
+    yield
+    assert replaced() == ""
 
 
 def identified(actuation, commands=RAMP, known=0.0):
@@ -79,3 +90,28 @@ def test_varying_periods():
         k += steps
         estimate.update(command, state.twist.linear, 0.01 * steps)
     assert estimate.delay == pytest.approx(0.16, abs=0.025)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("seed", range(20))
+def test_both_lanes_advance_the_models_equally(seed):
+    """With periods of any length, commands at the borders of periods, and models without a lag."""
+    random = np.random.default_rng(seed)
+    period, begin = float(random.choice([0.005, 0.02, 0.1, 0.5])), 3.0
+    since = [begin - 0.9, *sorted(begin - random.choice([0.02, 0.013, 0.2], 9) * random.integers(0, 9, 9) - 1e-9)]
+    commands, speeds = random.uniform(-1.0, 1.0, 10).tolist(), random.uniform(-1.0, 1.0, (11, 13))
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            found.append(advanced(speeds, since, commands, begin, period))
+    assert np.abs(found[0] - found[1]).max() < 1e-12
+
+
+def test_a_model_is_the_exact_response_to_its_delayed_command():
+    """A step of the command at time 0, half a period before the end of the model's delay."""
+    speeds = advanced(np.zeros((11, 13)), [-1.0, 0.0], [0.0, 1.0], 0.09, 0.02)
+    latencies, lags = np.linspace(0.0, 0.2, 11), np.linspace(0.0, 0.3, 13)
+    since = np.minimum(np.maximum(0.11 - latencies, 0.0), 0.02)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = np.where(since > 0.0, 1.0 - np.exp(-since / lags), 0.0)
+    assert speeds == pytest.approx(wanted, abs=1e-12)

@@ -1,16 +1,19 @@
 """Collision check of a motion, compared with dense poses among all obstacles."""
 
 import math
+import shutil
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.controllers.look_ahead import LookAhead, stopping_way
+from experiments.fuzz.kinds.kernels import replaced
+from optdock.controllers.look_ahead import LookAhead, near_distances, radius_of, stopping_way
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.kernels import using_kernels
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
@@ -25,6 +28,13 @@ TOLERANCE = 0.01
 
 
 NOWHERE = np.zeros((0, 3))
+
+
+@pytest.fixture(autouse=True)
+def _no_kernel_is_replaced():
+    """A kernel whose first result differs is replaced by its twin, and would be equal to it."""
+    yield
+    assert replaced() == ""
 
 
 def obstruction(world, way, contacts=NOWHERE):
@@ -145,3 +155,63 @@ def test_contact_is_intended_only_near_its_pose():
     pressed = stopping_way(Pose2(0.0, 0.3, 0.0), ROBOT.footprint, ((Twist2(0.055), 1.0),))
     assert obstruction(context([wall]), pressed, end) is not None
     assert obstruction(context([wall]), pressed - np.array([0.0, 0.3, 0.0]), end) is None
+
+
+SHAPES = {
+    "rectangle": Footprint.rectangle(0.4, 0.3, 0.5),
+    "disc": Footprint.from_radius(0.3),
+    "dented": Footprint(np.array([[0.5, 0.3], [0.1, 0.0], [0.5, -0.3], [-0.4, -0.3], [-0.4, 0.3]])),
+}
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("seed", range(8))
+def test_both_lanes_measure_equal_distances(name, seed):
+    """Among polygons of three to six corners, also touching and overlapping ones, and without an obstacle."""
+    random = np.random.default_rng(seed)
+    outlines = [
+        random.uniform(-1.5, 1.5, 2) + random.uniform(0.05, 0.4) * np.column_stack((np.cos(at), np.sin(at)))
+        for at in (np.sort(random.uniform(0.0, 6.28, count)) for count in random.integers(3, 7, 6))
+    ]
+    obstacles = ObstacleSet.from_polygons([*outlines, box(0.5, 0.0, 0.1)])
+    poses = np.concatenate((random.uniform(-1.0, 1.0, (5, 3)), np.zeros((1, 3)), [[20.0, 0.0, 0.0]]))
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            found.append(near_distances(SHAPES[name], poses, obstacles))
+            assert near_distances(SHAPES[name], poses, ObstacleSet.empty()).shape == (7, 0)
+    assert np.array_equal(np.isinf(found[0]), np.isinf(found[1]))
+    near = np.isfinite(found[0])
+    assert np.abs(found[0][near] - found[1][near]).max() < 1e-12
+    assert not near[-1].any()
+    nearest = np.min(found[0], axis=1, initial=np.inf)
+    exact = pose_clearances(poses, SHAPES[name], obstacles, checks_unions=False)[0]
+    assert np.minimum(nearest, 0.5) == pytest.approx(np.minimum(exact, 0.5), abs=1e-12)
+
+
+@settings(max_examples=30)
+@given(places, st.lists(twists, min_size=4, max_size=8))
+def test_a_clear_motion_meets_no_obstacle(corners, motions):
+    """The remembered clearance of an earlier pose: with it no motion is called clear that a new search refuses."""
+    world, look, pose = context([box(x, y) for x, y in corners]), LookAhead(), ORIGIN
+    assert not look.is_clear(world, ROBOT.footprint, pose, 0.0)  # nothing is known yet
+    for twist in motions:
+        reach = 0.2 * (abs(twist.linear) + radius_of(ROBOT.footprint) * abs(twist.angular))
+        way = stopping_way(pose, ROBOT.footprint, ((twist, 0.2),))
+        if look.is_clear(world, ROBOT.footprint, pose, reach):
+            assert pose_clearances(way, ROBOT.footprint, world.problem.all_obstacles)[0].min() > 0.0
+        else:
+            look.obstruction(world, way, NOWHERE, TOLERANCE)
+        pose = pose.moved(twist, 0.2)
+
+
+def test_a_motion_is_not_clear_after_a_change_of_the_costmap():
+    grid = Costmap.writable((80, 80), 0.05, (-2.0, -2.0))
+    world, look = PluginContext(local_costmap=grid, footprint=ROBOT.footprint), LookAhead()
+    assert look.obstruction(world, np.zeros((1, 3)), NOWHERE, TOLERANCE) is None
+    assert look.is_clear(world, ROBOT.footprint, ORIGIN, 0.4)
+    assert not look.is_clear(world, ROBOT.footprint, ORIGIN, 0.6)  # as far as obstacles were searched
+    assert not look.is_clear(PluginContext(local_costmap=grid, footprint=ROBOT.footprint), ROBOT.footprint, ORIGIN, 0.1)
+    grid.data[38:42, 46] = 254
+    assert not look.is_clear(world, ROBOT.footprint, ORIGIN, 0.4)

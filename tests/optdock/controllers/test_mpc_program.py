@@ -1,20 +1,40 @@
 """The program of the MPC: model compared with exact motion, cost to go with the Riccati equation."""
 
 import math
+import shutil
 
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from optdock.controllers.mpc_program import arcs_between, predicted, riccati_back, step_matrices
+from experiments.fuzz.kinds.kernels import replaced
+from optdock.controllers.mpc_program import (
+    MpcWeights,
+    arcs_between,
+    condensed,
+    cost_to_go,
+    predicted,
+    riccati_back,
+    step_matrices,
+)
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.kernels import using_kernels
 from optdock.model.limits import MotionLimits
 from optdock.model.robot import Robot
 from optdock.simulation import Actuation, DifferentialDrive
 from optdock.testing.drives import s_curve_drive
 
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+LANES = ["twin", pytest.param("native", marks=needs_compiler)]
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=9.0, max_reverse_speed=9.0))
+
+
+@pytest.fixture(autouse=True)
+def _no_kernel_is_replaced():
+    """A kernel whose first result differs is replaced by its twin, and would be equal to it."""
+    yield
+    assert replaced() == ""
 
 
 def reference(times):
@@ -80,3 +100,58 @@ def test_the_cost_to_go_of_a_long_steady_drive_solves_the_riccati_equation():
     a, b, _ = step_matrices(arcs, (0.0, 0.0))
     steady = solve_discrete_are(a[0, :3, :3], b[0, :3], 0.1 * np.diag(stage), 0.1 * np.diag(effort))
     assert riccati_back(arcs, stage, effort, np.array([9.0, 9.0, 9.0]))[0] == pytest.approx(steady, rel=1e-6)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+@pytest.mark.parametrize("lane", LANES)
+def test_the_cost_is_that_of_the_predicted_errors(lane, lag):
+    """Against the sum of the weighted squares, evaluated for random commands."""
+    random, h = np.random.default_rng(5), np.array([0.02, *[0.05] * 7])
+    times = 2.0 + np.concatenate(([0.0], np.cumsum(h)))
+    poses = np.concatenate((reference(times), reference(times + lag)))
+    state, weights, root = random.normal(size=5), np.array([2.0, 5.0, 1.5]), random.normal(size=(3, 3))
+    after = root @ root.T
+    with using_kernels(lane):
+        found = condensed(poses, h, lag, state, weights, after)
+    arcs = arcs_between(poses[:9], times - 2.0)
+    prediction = predicted(state, step_matrices(arcs, (lag, lag)))
+
+    def cost(u):
+        errors = (prediction.errors + prediction.by_commands @ u)[:, :3]
+        return 0.5 * float(np.sum(h[:, None] * weights * errors**2)) + 0.5 * float(errors[-1] @ after @ errors[-1])
+
+    for _ in range(5):
+        u = random.normal(size=16)
+        assert 0.5 * u @ found.hessian @ u + found.gradient @ u == pytest.approx(cost(u) - cost(0.0 * u))
+    assert found.errors == pytest.approx(prediction.errors[:, :3], abs=1e-12)
+    assert found.by_commands == pytest.approx(prediction.by_commands[:, :3], abs=1e-12)
+    leading = arcs_between(poses[9:], times - 2.0)
+    assert found.nominal == pytest.approx(np.column_stack((leading.v, leading.w)), abs=1e-12)
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", range(20))
+def test_both_lanes_are_equal_up_to_rounding(seed):
+    """Also at rest, in turns in place, over whole turns of the yaw, and for a single step."""
+    random = np.random.default_rng(seed)
+    n, lag = int(random.integers(1, 20)), float(random.choice([0.0, 0.07, 0.3]))
+    h, moves = random.uniform(0.01, 0.2, n), random.uniform(-0.03, 0.03, (2 * n + 2, 3))
+    poses = np.cumsum(moves * random.choice([0.0, 1.0], 3), axis=0)
+    poses[:, 2] += 2.0 * np.pi * random.integers(-2, 3, 2 * n + 2)
+    weights = MpcWeights(*(random.uniform(0.1, 9.0, size) for size in (3, 2, 2, 3)))
+    state, times = random.normal(size=5), np.concatenate(([0.0], np.cumsum(h)))
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            costs = cost_to_go(poses[: n + 1], times, weights)
+            found.append((*condensed(poses, h, lag, state, weights.errors, np.eye(3)), costs))
+    for one, other in zip(*found, strict=True):
+        assert np.abs(one - other).max() <= 1e-11 * max(1.0, np.abs(one).max())
+
+
+def test_whole_turns_of_the_yaw_are_no_motion():
+    times = np.linspace(1.0, 3.0, 12)
+    poses = reference(times)
+    turned = poses + np.outer(np.arange(12) % 3, [0.0, 0.0, 2.0 * np.pi])
+    for one, other in zip(arcs_between(poses, times), arcs_between(turned, times), strict=True):
+        assert one == pytest.approx(other, abs=1e-12)

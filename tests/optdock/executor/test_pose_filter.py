@@ -453,3 +453,15 @@ def test_slip_increases_the_covariance_along_the_heading_and_in_yaw(yaw):
     kept = found.covariance.copy()
     assert found.correct(10.0, found.pose @ Pose2(1.0, 0.0, 0.0), NOISE, slip=(0.01, 0.02)) == "rejected"
     assert np.array_equal(found.covariance, kept), "a rejected measurement has no effect"
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_whitening_is_the_inverse_of_the_cholesky_factor(seed):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(3, 3)) * [1e-3, 1.0, 0.1]
+    spread = root @ root.T + 1e-9 * np.eye(3)
+    found = pose_filter._whitening(spread)
+    assert found @ np.linalg.cholesky(spread) == pytest.approx(np.eye(3), abs=1e-6)
+    assert found == pytest.approx(np.tril(found))
+    with pytest.raises(np.linalg.LinAlgError):
+        pose_filter._whitening(spread - 2.0 * spread[0, 0] * np.diag([1.0, 0.0, 0.0]))
