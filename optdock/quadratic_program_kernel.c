@@ -7,15 +7,14 @@
  * The dual increases in each round, so the method ends.
  *
  * A constraint is a number, 1 to n for the bounds of a variable and n + 1 to n + m for those of a row; it is negative
- * for the upper bound. The elements of a row other than 0 are in one range among the first `leading` columns, and in one
- * among the others.
+ * for the upper bound. The elements of a row other than 0 are in one range among the first `leading` columns, and in
+ * one among the others.
  *
  * The twin finds the set by DAQP, so sums may be in any order here. The minimizer is then that of the linear equations
  * of the set, whose sums are in the order of the twin; it is equal to the last bit. */
 
 #include <math.h>
 #include <stdint.h>
-#include <stdlib.h>
 
 typedef struct {
     int64_t n, m, leading;
@@ -59,6 +58,9 @@ static double dot(const double *a, const double *b, int64_t count)
         s0 += a[i] * b[i];
     return (s0 + s1) + (s2 + s3);
 }
+
+/* The variable, or n and the row, of a constraint. */
+static int64_t place_of(int64_t number) { return (number > 0 ? number : -number) - 1; }
 
 static void add_scaled(double *to, double factor, const double *from, int64_t count)
 {
@@ -150,7 +152,7 @@ static void prepare(const Program *p, const double *g)
  * the normal is independent of W. */
 static int append(const Program *p, WorkingSet *w, int64_t number)
 {
-    int64_t i = llabs(number) - 1, q = w->count, first = i;
+    int64_t i = place_of(number), q = w->count, first = i;
     double sign = number > 0 ? 1.0 : -1.0, *normal = w->normals + q * p->n, *row = w->factor + q * w->most;
     for (int64_t k = 0; k < p->n; k++)
         normal[k] = 0.0;
@@ -187,7 +189,7 @@ static int append(const Program *p, WorkingSet *w, int64_t number)
 static void keep_appended(WorkingSet *w)
 {
     int64_t number = w->number[w->count];
-    w->taken[llabs(number) - 1] = 1;
+    w->taken[place_of(number)] = 1;
     w->count++;
 }
 
@@ -196,7 +198,7 @@ static void remove_from(const Program *p, WorkingSet *w, int64_t r)
 {
     int64_t number = w->number[r], last = w->count - 1;
     double *column = w->work, added = w->pivot[r];
-    w->taken[llabs(number) - 1] = 0;
+    w->taken[place_of(number)] = 0;
     for (int64_t i = r; i < last; i++) {
         column[i] = w->factor[(i + 1) * w->most + r];
         w->number[i] = w->number[i + 1];
@@ -337,7 +339,7 @@ static void begin(const Program *p, WorkingSet *w, const int64_t *guess, int64_t
             keep_appended(w);
     w->fixed = w->count;
     for (int64_t i = 0; i < guessed; i++) {
-        int64_t k = llabs(guess[i]) - 1;
+        int64_t k = place_of(guess[i]);
         double bound = (guess[i] > 0 ? p->lower : p->upper)[k];
         if (!w->taken[k] && fabs(bound) < p->unbounded && append(p, w, guess[i]))
             keep_appended(w);
@@ -353,7 +355,7 @@ typedef struct {
     double *pivot, *column, *right, *solved, *left; /* (size,) */
 } Equations;
 
-/* Splits the variables, and sets the matrix and the right sides. `taken` marks the set, `found` has the signs. */
+/* Splits the variables, and sets the matrix and the right sides. */
 static void set_equations(const Program *p, const WorkingSet *w, const double *g, Equations *e)
 {
     int64_t members = 0;
@@ -366,7 +368,7 @@ static void set_equations(const Program *p, const WorkingSet *w, const double *g
     e->fixed = p->n - e->free;
     e->size = e->free + members - e->fixed;
     for (int64_t i = 0; i < w->count; i++) {
-        int64_t k = llabs(w->number[i]) - 1, at = 0;
+        int64_t k = place_of(w->number[i]), at = 0;
         while (e->member[at] != k)
             at++;
         e->bound[at] = (w->number[i] > 0 ? p->lower : p->upper)[k];

@@ -17,17 +17,17 @@ import itertools
 import threading
 import time
 from collections import OrderedDict
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.kernels import kernels_lane
 from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
 from smoothers.scp.basis import basis_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.linearization import ClearanceRows
@@ -180,10 +180,14 @@ def step_program(
         room = next(room for room in settings.clearance_rows if room >= count)
         return pool.program(blocks.size[0], blocks.clearance.start + room)
 
-    program = _empty_program(blocks, basis.num_knots, _guess(pool.latest, nlp, around, blocks), dense)
-    _fill_cost(program, blocks, around, proximal, penalties, settings)
+    (n, m), (h, a) = blocks.size, _constant_elements(basis, nlp.inner_bounds.rate, settings)
+    bounds = np.full((2, n + m), ((-UNBOUNDED,), (UNBOUNDED,)))
+    guess = _guess(pool.latest, nlp, around, blocks)
+    program = QuadraticProgram(h.copy(), np.empty(n), np.empty((m, n)), bounds, basis.num_knots, guess, dense)
+    program.a[: len(a)] = a
+    _fill_cost(program, blocks, around, proximal, penalties, settings.ridge)
     _fill_box(program, blocks, nlp, around.variables, trust_region * nlp.radius)
-    rows = _Rows(program.a, *program.bounds[:, len(program.g) :])
+    rows = _Rows(program.a, *bounds[:, n:])
     _fill_goal_and_trust_region(rows, blocks, around, trust_region)
     if is_limited:
         _fill_rate(rows, blocks, nlp, around.variables)
@@ -199,11 +203,21 @@ class _Rows(NamedTuple):
     upper: FloatArray
 
 
-def _empty_program(blocks: Blocks, knots: int, guess: IntArray, dense: Callable[[], DenseProgram]) -> QuadraticProgram:
-    n, m = blocks.size
-    bounds = np.empty((2, n + m))
-    bounds[0], bounds[1] = -UNBOUNDED, UNBOUNDED
-    return QuadraticProgram(np.zeros((n, n)), np.empty(n), np.zeros((m, n)), bounds, knots, guess, dense)
+@lru_cache(maxsize=16)  # as many as there are bases in the cache of bases
+def _constant_elements(basis: Basis, rate: float, settings: StepSettings) -> tuple[FloatArray, FloatArray]:
+    """Return the elements of H, and of the rows before those of clearance, that are the same in all steps."""
+    blocks = blocks_for(basis, basis.span_gear.size if np.isfinite(rate) else 0, 0, settings)
+    (n, m), gear = blocks.size, basis.num_knots + basis.span_gear
+    diagonal, a = np.zeros(n), np.zeros((m, n))
+    diagonal[blocks.goal_above] = diagonal[blocks.goal_below] = settings.curved_goal_slack
+    diagonal[blocks.clearance_slack] = settings.curved_clearance_slack
+    a[blocks.goal, blocks.goal_above], a[blocks.goal, blocks.goal_below] = np.eye(3), -np.eye(3)
+    if np.isfinite(rate):
+        a[blocks.rate_up, : basis.num_knots] = basis.span_slopes
+        a[blocks.rate_down, : basis.num_knots] = -basis.span_slopes
+        for block in (blocks.rate_up, blocks.rate_down):
+            a[np.arange(block.start, block.stop), gear] = -rate
+    return readonly(np.diag(diagonal)), readonly(a)
 
 
 def _fill_cost(
@@ -212,13 +226,10 @@ def _fill_cost(
     around: Subproblem,
     proximal: float,
     penalties: Penalties,
-    settings: StepSettings,
+    ridge: float,
 ) -> None:
     program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
-    diagonal = np.einsum("ii->i", program.h)  # a view, not a copy
-    diagonal[blocks.path] += settings.ridge
-    diagonal[blocks.goal_above] = diagonal[blocks.goal_below] = settings.curved_goal_slack
-    diagonal[blocks.clearance_slack] = settings.curved_clearance_slack
+    np.einsum("ii->i", program.h)[blocks.path] += ridge  # a view, not a copy
     program.g[blocks.path] = around.quadratic.gradient
     program.g[blocks.goal_above] = program.g[blocks.goal_below] = penalties.goal
     program.g[blocks.clearance_slack] = penalties.clearance
@@ -240,7 +251,6 @@ def _fill_box(
 def _fill_goal_and_trust_region(rows: _Rows, blocks: Blocks, around: Subproblem, trust_region: float) -> None:
     jacobian, error = around.goal
     rows.a[blocks.goal, blocks.path] = jacobian
-    rows.a[blocks.goal, blocks.goal_above], rows.a[blocks.goal, blocks.goal_below] = np.eye(3), -np.eye(3)
     rows.lower[blocks.goal] = rows.upper[blocks.goal] = -error
     rows.a[blocks.trust_region, blocks.path] = around.headings
     rows.lower[blocks.trust_region], rows.upper[blocks.trust_region] = -trust_region, trust_region
@@ -249,14 +259,11 @@ def _fill_goal_and_trust_region(rows: _Rows, blocks: Blocks, around: Subproblem,
 def _fill_rate(rows: _Rows, blocks: Blocks, nlp: NonlinearProgram, variables: Variables) -> None:
     basis, bound = nlp.basis, nlp.inner_bounds.rate
     slopes, allowed = basis.span_slopes @ variables.curvature, bound * variables.lengths[basis.span_gear]
-    for block, sign in ((blocks.rate_up, 1.0), (blocks.rate_down, -1.0)):
-        rows.a[block, : basis.num_knots] = sign * basis.span_slopes
-        rows.a[np.arange(block.start, block.stop), basis.num_knots + basis.span_gear] = -bound
-        rows.upper[block] = allowed - sign * slopes
+    rows.upper[blocks.rate_up], rows.upper[blocks.rate_down] = allowed - slopes, allowed + slopes
 
 
 def _fill_clearance(rows: _Rows, blocks: Blocks, bounded: ClearanceRows, zone: IntArray) -> None:
-    rows.a[blocks.clearance, blocks.path] = bounded.gradient
+    rows.a[blocks.clearance, blocks.path], rows.a[blocks.clearance, blocks.path.stop :] = bounded.gradient, 0.0
     rows.a[np.arange(blocks.clearance.start, blocks.clearance.stop), blocks.clearance_slack.start + zone] = 1.0
     rows.lower[blocks.clearance] = -bounded.gap
 
