@@ -42,12 +42,11 @@ def test_calls_are_counted_in_cycles_and_not_in_planning():
 
 def test_the_benchmark_prints_a_row_for_every_world_and_controller(capsys):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cycles, "_times", lambda world, controller, dockings: [1e-3] * dockings)
+        patch.setattr(cycles, "_times", lambda world, controller, number, repeats: [1e-3] * repeats)
         patch.setattr(cycles, "calls_of_cycles", lambda world, controller, number: [800, 1000])
         patch.setattr(cycles, "warm_up", lambda: None)
         patch.setattr(cycles.gc, "freeze", lambda: None)
-        patch.setattr(cycles, "set_clock", lambda name: None)
-        cycles.main(["--dockings", "3", "--counted", "1"])
+        cycles.main(["--dockings", "2", "--repeats", "2", "--counted", "1"])
     rows = capsys.readouterr().out.splitlines()[-4:]
     assert [row.split()[:2] for row in rows] == [[w, c] for w in cycles._WORLDS for c in cycles.CONTROLLERS]
-    assert all(row.split()[2:] == ["3", "1", "1", "1", "1", "900", "1000"] for row in rows)
+    assert all(row.split()[2:] == ["4", "1", "1", "1", "1", "900", "1000"] for row in rows)
