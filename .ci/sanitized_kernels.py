@@ -29,9 +29,17 @@ FLAGS = (
 TESTS = (
     "tests/optdock/test_kernels.py",
     "tests/smoothers/test_clearance_along.py",
+    "tests/smoothers/test_rollout_kernel.py",
+    "tests/optdock/test_minimizer.py",
+    "tests/optdock/controllers/test_delay.py",
+    "tests/optdock/controllers/test_look_ahead.py",
+    "tests/optdock/controllers/test_mpc_program.py",
+    "tests/optdock/model/test_motion_table.py",
+    "tests/optdock/planners/manoeuvres/test_planner_kernels.py",
     "tests/optdock/planners/manoeuvres/test_search_kernels.py",
     "tests/optdock/timing/test_interior_point.py",
     "tests/optdock/timing/test_timing_kernels.py",
+    "tests/optdock/verification/test_search_for_proofs.py",
     "tests/optdock/verification/test_turning_rules.py",
 )
 

@@ -30,7 +30,7 @@ from optdock.plugins.interfaces import (
     never_cancelled,
 )
 from optdock.plugins.parameters import PluginParameters, checked_seconds
-from optdock.verification import certify_path, pose_clearances
+from optdock.verification import certify_path, compiled_clearances
 from smoothers.scp.cost import Weights
 from smoothers.scp.nlp import Formulation
 from smoothers.scp.pieces_between_turns import TurningSolver, with_turns
@@ -332,7 +332,7 @@ def kept_clearance(path: Path, problem: DockingProblem, least: float, most: floa
         most: Upper bound of the required clearance [m].
     """
     poses = path.sample(_CLEARANCE_SPACING).poses
-    kept, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=most)
+    kept, _ = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=most)
     from_goal, from_start = (
         np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
     )

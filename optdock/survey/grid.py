@@ -15,7 +15,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import transform_points
-from optdock.verification import pose_clearances
+from optdock.verification import compiled_clearances
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -143,6 +143,6 @@ def room_at(poses: FloatArray, problem: DockingProblem) -> IntArray:
         close = np.setdiff1d(near, near[over])
         if close.size == 0:
             continue
-        clearances, _ = pose_clearances(some[close], footprint, obstacles, within=required + 0.01)
+        clearances, _ = compiled_clearances(some[close], footprint, obstacles, within=required + 0.01)
         found[begin + close] = np.where(clearances < required, TIGHT, CLEAR)
     return found

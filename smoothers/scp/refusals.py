@@ -15,7 +15,7 @@ from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.dock import DockDirection
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.planning.plan import PartialPlan
-from optdock.verification import end_clearances, pose_clearances
+from optdock.verification import compiled_clearances, end_clearances
 from optdock.verification.visibility import prove_view
 from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.term_samples import SPACING, sampled_terms
@@ -106,7 +106,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     )
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
     required = problem.path_clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
-    distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
+    distance, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
     short = required - distance
     k = int(np.argmax(short))
     if not short[k] > _TOLERANCE:
@@ -308,7 +308,7 @@ def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: 
     start_clearance = end_clearances(problem).start
     required = problem.path_clearance.required_at(from_goal, from_start, start_clearance, start_relief)
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
-    clearance, rows = pose_clearances(poses, footprint, obstacles, float(required.max()))
+    clearance, rows = compiled_clearances(poses, footprint, obstacles, float(required.max()))
     k = int(np.argmax(required - clearance))
     short, row = float(required[k] - clearance[k]), int(rows[k])
     name = obstacles.name_of(row) if row >= 0 else ""
