@@ -329,7 +329,7 @@ static int add_violated(const Program *p, WorkingSet *w, const double *violation
     return 1;
 }
 
-/* The equalities, and the independent ones of the guess. */
+/* The equalities, and the independent constraints of the guess; other numbers are skipped. */
 static void begin(const Program *p, WorkingSet *w, const int64_t *guess, int64_t guessed)
 {
     for (int64_t i = 0; i < p->n + p->m; i++)
@@ -340,6 +340,8 @@ static void begin(const Program *p, WorkingSet *w, const int64_t *guess, int64_t
     w->fixed = w->count;
     for (int64_t i = 0; i < guessed; i++) {
         int64_t k = place_of(guess[i]);
+        if (k < 0 || k >= p->n + p->m)
+            continue;
         double bound = (guess[i] > 0 ? p->lower : p->upper)[k];
         if (!w->taken[k] && fabs(bound) < p->unbounded && append(p, w, guess[i]))
             keep_appended(w);

@@ -95,7 +95,8 @@ def test_the_guess_does_not_change_the_solution(seed):
     total = program.bounds.shape[1]
     first, right = found(program)
     wrong = rng.permutation(np.concatenate((np.arange(1, total + 1), -np.arange(1, total + 1))))
-    for guess in (right, right[::2].copy(), wrong, wrong[: total // 2], np.concatenate((right, -right))):
+    beyond = np.array([0, total + 1, -total - 1, 10 * total])
+    for guess in (right, right[::2].copy(), beyond, wrong, wrong[: total // 2], np.concatenate((right, -right))):
         assert found(program._replace(guess=guess)).solution == pytest.approx(first, rel=1e-8, abs=1e-8)
 
 
