@@ -30,10 +30,13 @@ __all__ = [
     "digest",
     "frozen",
     "frozen_array",
+    "product_of_columns",
     "readonly",
     "vector",
 ]
 
+# Multiplications of a product of matrices; OpenBLAS distributes larger ones over threads, which then wait actively.
+_LARGEST_PRODUCT = 250_000
 _DOUBLE = np.dtype(np.float64)
 _DIGEST_BYTES = 8  # a collision of two problems has probability 2^-64; digests detect mistakes, not attacks
 
@@ -47,6 +50,23 @@ def readonly(array: _Array) -> _Array:
     order: Literal["C", "F"] = "F" if by_columns else "C"
     copied: _Array = np.ndarray(array.shape, array.dtype, array.tobytes(order), order=order)
     return copied
+
+
+def product_of_columns(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return `one.T @ other`, computed by the calling thread alone.
+
+    Args:
+        one: Shape (n, k).
+        other: Shape (n, m).
+
+    Returns:
+        Shape (k, m).
+    """
+    rows = max(1, _LARGEST_PRODUCT // max(one.shape[1] * other.shape[1], 1))
+    product: FloatArray = one[:rows].T @ other[:rows]
+    for start in range(rows, len(one), rows):
+        product += one[start : start + rows].T @ other[start : start + rows]
+    return product
 
 
 class FrozenArrays:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import FrozenArrays, frozen, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen, product_of_columns, readonly
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 if TYPE_CHECKING:
@@ -72,7 +72,9 @@ class Basis(FrozenArrays):
     def fit(self) -> FloatArray:
         """Smoothed least squares from turned headings at the interval middles, Shape (num_knots, num_intervals)."""
         middles = self.middle_headings
-        normal = middles.T @ middles + self.fit_smoothing * self.stiffness + 1e-9 * np.eye(self.num_knots)
+        normal = (
+            product_of_columns(middles, middles) + self.fit_smoothing * self.stiffness + 1e-9 * np.eye(self.num_knots)
+        )
         return readonly(np.linalg.solve(normal, middles.T))
 
     @cached_property

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import product_of_columns
+
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.path import Path
@@ -77,8 +79,7 @@ class CostModel:
             return basis.stiffness
         spans = np.array([count for count, _ in basis.shape])[basis.span_gear]
         slopes = np.sqrt(self.easing / spans)[:, None] * basis.span_slopes
-        product: FloatArray = slopes.T @ slopes
-        return product
+        return product_of_columns(slopes, slopes)
 
     @cached_property
     def _turned(self) -> FloatArray:
@@ -124,7 +125,7 @@ class CostModel:
         normals = self.reference.normals
         scale = 2.0 * share * float(np.add.reduce(lengths))
         moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
-        gradient, hessian = (scale * lateral) @ moved, scale * (moved.T @ moved)
+        gradient, hessian = (scale * lateral) @ moved, scale * product_of_columns(moved, moved)
         by_bend, by_jerk = bend @ curvature, jerk @ curvature
         gradient[:knots] += per_knot * by_bend + by_jerk / per_knot + turning @ curvature
         hessian[:knots, :knots] += per_knot * bend + jerk / per_knot + turning

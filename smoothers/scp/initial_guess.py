@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
+from optdock.geometry.arrays import product_of_columns
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
-
-# Multiplications of a product of matrices; OpenBLAS distributes larger ones over threads, which then wait actively.
-_LARGEST_PRODUCT = 250_000
 
 __all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit", "rest_of_earlier_result", "track"]
 
@@ -412,7 +410,7 @@ class _LeastSquares:
         for axis, weight, residual in zip(self.axes, self.weights, self._residuals(rollout), strict=True):
             moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
             gradient += 2.0 * (weight * residual) @ moved
-            hessian += 2.0 * _product(moved, weight[:, None] * moved)
+            hessian += 2.0 * product_of_columns(moved, weight[:, None] * moved)
         goal = end_sensitivity(basis, variables, rollout.moves), nlp.ends.error(rollout)
         headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
         no_rows = ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
@@ -423,12 +421,3 @@ class _LeastSquares:
         away = rollout.poses[:, :2] - self.nlp.traced.positions
         across, along = (axis[:, 0] * away[:, 0] + axis[:, 1] * away[:, 1] for axis in self.axes)
         return across, along
-
-
-def _product(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return `one.T @ other`, in parts that are small enough to be computed in the calling thread."""
-    rows = max(1, _LARGEST_PRODUCT // (one.shape[1] * other.shape[1]))
-    first: FloatArray = one[:rows].T @ other[:rows]
-    for start in range(rows, len(one), rows):
-        first += one[start : start + rows].T @ other[start : start + rows]
-    return first

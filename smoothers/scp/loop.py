@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import product_of_columns, readonly
 from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
 from smoothers.scp.goal_projection import project_and_roll_out
@@ -185,7 +185,8 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     by = sensitivity(basis, current.variables, rollout)
     goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), current.end_error
     share = float(np.add.reduce(current.variables.lengths)) / basis.num_intervals
-    motion = share * (by.x.T @ by.x + by.y.T @ by.y + settings.yaw_motion * (by.yaw.T @ by.yaw))
+    along_x, along_y, turned = (product_of_columns(part, part) for part in (by.x, by.y, by.yaw))
+    motion = share * (along_x + along_y + settings.yaw_motion * turned)
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
     rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active)
