@@ -74,13 +74,9 @@ class DeadReckoning:
         before, period, step = self.pose, stamp - self._stamp, _ORIGIN
         if period > 0.0:
             # Trapezoidal rule.
-            old = self._twist
-            mean = (
-                0.5 * (old.linear + twist.linear),
-                0.5 * (old.angular + twist.angular),
-                0.5 * (old.lateral + twist.lateral),
-            )
-            step = Pose2(*arc_end(0.0, 0.0, 0.0, mean, period))
+            old, new = self._twist, twist
+            v, w, u = old.linear + new.linear, old.angular + new.angular, old.lateral + new.lateral
+            step = Pose2(*arc_end(0.0, 0.0, 0.0, (0.5 * v, 0.5 * w, 0.5 * u), period))
             self.pose = before @ step
             if self._known is not None:
                 self._idle = self._idle @ step

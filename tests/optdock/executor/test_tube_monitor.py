@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optdock.executor.planning import DrivenMotion
-from optdock.executor.trajectory_drive import TubeMonitor
+from optdock.executor.tube_monitor import TubeMonitor
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
