@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.controllers.command_limits import smooth_slope
+from optdock.controllers.motion_table import MotionRow, motion_table
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.model.motion_table import MotionRow
 from optdock.model.robot import Drive
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class _Joint(NamedTuple):
 
 def _joint(before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
     begins = abs(trajectory.time_law.start_speed)
-    speed = abs(before.table.rows(time)[0].speed) if 0.0 <= time < before.duration else 0.0
+    speed = abs(motion_table(before).rows(time)[0].speed) if 0.0 <= time < before.duration else 0.0
     return _Joint(time, trajectory, speed / begins if begins > _AT_REST else math.inf)
 
 
@@ -176,13 +176,13 @@ class TrajectoryReference:
         later = ahead + _LOOK_AHEAD
         if shown is self.trajectory and not self._joints:
             horizon = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
-            motion = shown.table.at(np.concatenate(((self.time, ahead), later, horizon)))
+            motion = motion_table(shown).at(np.concatenate(((self.time, ahead), later, horizon)))
             row, then = (MotionRow(*one) for one in motion[:2].tolist())
             self._horizon = previews, motion[2 + later.size :, 1:4]
         else:
             (row,), motion = (
-                self.trajectory.table.rows(self.time),
-                shown.table.at(np.concatenate(((0.0, ahead), later))),
+                motion_table(self.trajectory).rows(self.time),
+                motion_table(shown).at(np.concatenate(((0.0, ahead), later))),
             )
             then = MotionRow(*motion[1].tolist())
             self._horizon = _NO_TIMES, motion[:0, 1:4]
@@ -211,13 +211,13 @@ class TrajectoryReference:
             return known
         if not self._joints:
             times = self.time + (self.rate if self.time >= 0.0 else 1.0) * previews
-            found: FloatArray = self.trajectory.table.at(times)[:, 1:4].copy()
+            found: FloatArray = motion_table(self.trajectory).at(times)[:, 1:4].copy()
             return found
         poses = np.empty((previews.size, 3))
         shown = [self._at(preview) for preview in previews.tolist()]
         for trajectory in dict.fromkeys(each for each, _, _ in shown):
             mine = [k for k, (each, _, _) in enumerate(shown) if each is trajectory]
-            poses[mine] = trajectory.table.at(np.array([shown[k][1] for k in mine]))[:, 1:4]
+            poses[mine] = motion_table(trajectory).at(np.array([shown[k][1] for k in mine]))[:, 1:4]
         return poses
 
     def trajectory_ahead(self, preview: float) -> tuple[Trajectory, float]:
@@ -230,7 +230,7 @@ class TrajectoryReference:
         shown, time, _ = self._at(self._preview)
         known, at, found = self._later
         if known is not shown or at != time:  # unless `state` has evaluated them
-            found = shown.table.at(time + _LOOK_AHEAD)[:, _YAW_ACCELERATION]
+            found = motion_table(shown).at(time + _LOOK_AHEAD)[:, _YAW_ACCELERATION]
         return float(np.abs(found).max())
 
     def next_arc(self) -> Twist2:

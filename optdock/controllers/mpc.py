@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter, fastest_slope, rate_limited, reachable_speed
+from optdock.controllers.motion_table import motion_table
 from optdock.controllers.moving_reference import ReferenceState, TrajectoryReference, peaks
 from optdock.controllers.mpc_program import (
     CommandBounds,
@@ -260,7 +261,9 @@ class MpcController(TrackingController):
 
     def _cost_to_go(self, trajectory: Trajectory) -> _CostToGo:
         times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
-        return _CostToGo(times.tolist(), cost_to_go(trajectory.table.at(times)[:, 1:4].copy(), times, self._weights))
+        return _CostToGo(
+            times.tolist(), cost_to_go(motion_table(trajectory).at(times)[:, 1:4].copy(), times, self._weights)
+        )
 
     def _wanted(
         self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: AcceptedErrors

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.controllers.motion_table import motion_table
 from optdock.errors import ControllerException
 from optdock.executor.dock_estimate import (
     DECAY,
@@ -370,7 +371,7 @@ class TrajectoryDrive:
             return False
         if not 0.0 <= time < trajectory.duration or isinstance(trajectory.path.segments[-1], TurnSegment):
             return False  # a turn at the end corrects the heading and leaves no distance for an offset
-        (now,), gear = trajectory.table.rows(time), situation.estimate.gear
+        (now,), gear = motion_table(trajectory).rows(time), situation.estimate.gear
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(Pose2(now.x, now.y, now.yaw))
         limits, dock, sigma = situation.problem.robot.limits, situation.problem.dock, perception.sigma

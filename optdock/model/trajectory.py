@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,7 +11,6 @@ from optdock.geometry.arrays import FloatArray, FrozenArrays
 from optdock.geometry.checked import exactly, sampling_step
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.constant_jerk import TimeLaw
-from optdock.model.motion_table import MotionTable
 from optdock.model.path import Path
 
 if TYPE_CHECKING:
@@ -94,11 +92,6 @@ class Trajectory(FrozenArrays):
     def duration(self) -> float:
         """Total time [s]."""
         return self.time_law.duration
-
-    @functools.cached_property
-    def table(self) -> MotionTable:
-        """The motion, prepared for its evaluation at a few times in every control cycle."""
-        return MotionTable(self)
 
     def sample_at(self, t: ArrayLike) -> TrajectorySamples:
         """Evaluate the motion at times `t`, Shape (n,) [s], clipped to [0, duration]."""

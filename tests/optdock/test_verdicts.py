@@ -85,7 +85,7 @@ def classes():
 def words_of(kind):
     """Which of its attributes are verdicts by their names, or by the enumeration that they are a member of."""
     fields = {name: str(kind_of) for name, kind_of in getattr(kind, "__annotations__", {}).items()}
-    for name, member in vars(kind).items():
+    for name, member in dict(vars(kind)).items():  # a copy: models of files are built when they are read
         getter = member.fget if isinstance(member, property) else getattr(member, "func", None)
         if isinstance(member, property | functools.cached_property):
             fields[name] = str(getter.__annotations__.get("return"))

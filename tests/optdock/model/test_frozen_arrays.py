@@ -17,6 +17,7 @@ import pytest
 import checkers
 import optdock
 import smoothers
+from optdock.controllers.motion_table import motion_table
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -43,7 +44,7 @@ from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
 from optdock.verification.clearance_kernel import packed_footprint
 from smoothers.scp import basis as basis_module
-from smoothers.scp import loop, term_rows
+from smoothers.scp import loop, qp_step, term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
 from smoothers.scp.settings import DEFAULT_SETTINGS
@@ -56,6 +57,11 @@ DENTED = [*SQUARE, [0.2, 0.5]]  # not convex: several bodies
 
 def motion():
     return Trajectory(Path.from_poses(POSES), TimeLaw([4.0, 4.0], [0.1, -0.1]))
+
+
+def on_a_curve():
+    curve = ClothoidSpline(POSE, [0.0, 1.6], [0.0, 0.2], 1)
+    return Trajectory(Path((ClothoidSegment(curve),)), TimeLaw([4.0, 4.0], [0.1, -0.1]))
 
 
 def problem():
@@ -300,6 +306,8 @@ SHARED = {
     "basis_for": lambda: basis_for(((8, 2),)),
     "_trusted": lambda: loop._trusted(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
     "_block": lambda: basis_module._block(8, 16),
+    "_constant_elements": lambda: qp_step._constant_elements(basis_for(((8, 2),)), 8.0, DEFAULT_SETTINGS.step),
+    "motion_table": lambda: motion_table(on_a_curve()),
     "_done": lambda: term_rows._done(basis_for(((8, 2),))),
     "node_shares": lambda: term_rows.node_shares(basis_for(((8, 2),))),
     "packed_footprint": lambda: packed_footprint(problem().robot.footprint),
@@ -312,6 +320,7 @@ SHARED = {
 HOLD_NO_ARRAYS = {
     "_warm_once",
     "_found",
+    "_installed",
     "_store",
     "_store_of",
     "_ruckig",

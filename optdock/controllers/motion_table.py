@@ -6,6 +6,7 @@ linear. `MotionTable.at` evaluates both in one call.
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.trajectory import Trajectory
 
-__all__ = ["MotionRow", "MotionTable", "evaluated"]
+__all__ = ["MotionRow", "MotionTable", "evaluated", "motion_table"]
 
 _PHASE, _CELL, _NODES = 5, 7, 5  # columns of a phase and of a cell; nodes of the quadrature in a cell
 _MOST_TURNED = 0.5  # [rad] in a cell
@@ -87,6 +88,12 @@ class MotionTable(FrozenArrays):
             motion = row.s, row.x, row.y, row.yaw, row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration
             return np.column_stack((*motion, path.direction_at(row.s), path.curvature_at(row.s)))
         return evaluated(self._table, self._counts, self._ends, times)
+
+
+@functools.lru_cache(maxsize=16)  # a controller uses the present trajectory and those that take over
+def motion_table(trajectory: Trajectory) -> MotionTable:
+    """Return the table of a trajectory, cached."""
+    return MotionTable(trajectory)
 
 
 def _cells(path: Path) -> FloatArray:

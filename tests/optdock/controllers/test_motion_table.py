@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from experiments.fuzz.kinds.kernels import replaced
+from optdock.controllers.motion_table import MotionRow, evaluated, motion_table
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.kernels import using_kernels
 from optdock.model.constant_jerk import TimeLaw
-from optdock.model.motion_table import MotionRow, evaluated
 from optdock.model.path import ClothoidSegment, Path, TurnSegment
 from optdock.model.trajectory import Trajectory
 
@@ -70,8 +70,8 @@ def instants(motion, seed=0):
 def test_the_table_is_equal_to_the_samples(motion, lane):
     times = instants(motion)
     with using_kernels(lane):
-        found = motion.table.at(times)
-        rows = motion.table.rows(*times[:3].tolist())
+        found = motion_table(motion).at(times)
+        rows = motion_table(motion).rows(*times[:3].tolist())
     wanted, path = motion.sample_at(times), motion.path
     for column, name in enumerate(MotionRow._fields[:8]):
         assert found[:, column] == pytest.approx(getattr(wanted, name), abs=1e-11), name
@@ -86,8 +86,8 @@ def test_both_lanes_are_equal_up_to_rounding(motion):
     found = []
     for lane in ("twin", "native"):
         with using_kernels(lane):
-            found.append(motion.table.at(instants(motion, 7)))
-            assert motion.table.at(np.zeros(0)).shape == (0, 10)
+            found.append(motion_table(motion).at(instants(motion, 7)))
+            assert motion_table(motion).at(np.zeros(0)).shape == (0, 10)
     assert np.abs(found[0] - found[1]).max() < 1e-12
 
 
@@ -104,7 +104,7 @@ def test_sizes_are_checked():
 def test_a_pickled_motion_has_the_same_table():
     motion = MOTIONS[1]
     again = pickle.loads(pickle.dumps(motion))
-    assert np.array_equal(again.table.at(instants(motion)), motion.table.at(instants(motion)))
+    assert np.array_equal(motion_table(again).at(instants(motion)), motion_table(motion).at(instants(motion)))
 
 
 @pytest.mark.parametrize("motion", MOTIONS[:3], ids=range(3))
