@@ -17,7 +17,7 @@ from experiments.fuzz.generators.shapes import obstacle
 from experiments.fuzz.kinds.kernels import DEGENERATE, draw, drawn_shapes, drawn_stretches, is_equal, judge
 from optdock import kernels
 from optdock.build_kernels import ABOUT, FLAGS, BuildFailed, build, digest_of, kernel_sources
-from optdock.deadline import budget_clock
+from optdock.deadline import TICK, budget_clock, now
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -288,6 +288,24 @@ def test_the_first_call_of_a_kernel_also_runs_its_twin(fresh):
         function(0)
         function(0)
     assert calls == ["twin", "native", "native"]
+
+
+@needs_compiler
+def test_every_call_of_a_kernel_has_the_same_result_and_counts_the_same(fresh):
+    """The first call returns the result of C too, and the readings of the clock by the twin are not counted."""
+
+    def native(look):
+        look()
+        return np.array([1.0 + 1e-13])
+
+    @twin_of(native)
+    def function(look):
+        [look() for _ in range(5)]
+        return np.array([1.0])
+
+    with using_kernels("native"), budget_clock("counted"):
+        found = [(float(function(now)[0]), round(now() / TICK)) for _ in range(3)]
+    assert found == [(1.0 + 1e-13, 1), (1.0 + 1e-13, 3), (1.0 + 1e-13, 5)]
 
 
 WRONG = [1.0 + 1e-11, np.nan, np.array([1.0]), -np.inf]
