@@ -30,7 +30,7 @@ TESTS = (
     "tests/optdock/test_kernels.py",
     "tests/smoothers/test_clearance_along.py",
     "tests/smoothers/test_rollout_kernel.py",
-    "tests/optdock/test_minimizer.py",
+    "tests/optdock/test_minimizer.py::test_the_guess_does_not_change_the_solution",
     "tests/optdock/controllers/test_delay.py",
     "tests/optdock/controllers/test_look_ahead.py",
     "tests/optdock/controllers/test_mpc_program.py",
