@@ -419,6 +419,8 @@ class TrajectoryDrive:
         self._set_path(result.motion, start)
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
+        if was_urgent:  # other plans in motion follow the present way, which may avoid an obstacle that has gone
+            self._shorter_way.compare_with(result.motion.problem.costmap)
         self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")
 
 
@@ -429,6 +431,10 @@ class ShorterWay:
         self._situation, self._planned_among = situation, planned_among
         self._is_new = False
         self._submitted_at = -math.inf
+
+    def compare_with(self, planned_among: Costmap | None) -> None:
+        """Set the costmap whose obstacles the present motion avoids."""
+        self._planned_among = planned_among
 
     def check_next_costmap(self) -> None:
         """Make the next call of `may_exist` compare its costmap with the costmap of the plan."""

@@ -135,15 +135,18 @@ def test_obstacle_on_the_path_is_driven_around(lawful):
     assert docking.said("motion no longer valid")
 
 
+# With the shorter budget the robot stops before the wall, with the longer one it finds a way around it in motion.
+@pytest.mark.parametrize("replan_budget", [0.002, 0.5])
 @pytest.mark.parametrize("goes", [True, False])
-def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, lawful):
+def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, replan_budget, lawful):
+    settings = ExecutorSettings(navigate_to_staging_pose=False, time_budget=4.0, replan_budget=replan_budget)
     build, remove = put(1.9, 1.6), put_away if goes else lambda *_: None
 
     def before(executor, world, measurements):
         build(executor, world, measurements)
         remove(executor, world, measurements)
 
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before, rate=10.0)
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=before, rate=10.0)
     touch = math.inf if goes else 0.004  # it may drive through the place of the wall
     assert lawful(docking, touch).kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("shorter way")) == goes
