@@ -41,7 +41,7 @@ __all__ = [
 
 ClockName: TypeAlias = Literal["wall", "cpu", "counted"]
 
-TICK = 5.0 * 2.0**-15  # [s], 0.15 ms; times and their differences are exact multiples, whatever the calls before
+TICK = 5.0 * 2.0**-15  # [s], 0.15 ms; few bits, so that differences of times are exact and equal in every call
 
 
 class _Counter:
