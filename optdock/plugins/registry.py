@@ -124,9 +124,16 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
         PluginError: If the name is unknown, the import fails, or the class is not an `interface`.
     """
     kind = next((k for k, known in INTERFACES.items() if known is interface), "")
-    found = _found(kind)
     if not isinstance(name, str):
         raise PluginError(f"{kind}: a plugin's name must be text, got {name!r}")
+    loaded: type[P] = _loaded(kind, name)
+    return loaded
+
+
+@cache  # of the classes found; after an error, the next call tries again
+def _loaded(kind: str, name: str) -> Any:
+    """Return the class of a plugin; see `load_plugin`."""
+    found = _found(kind)
     short = name.replace("/", "::").rsplit("::", 1)[-1]
     short = _NAV2_ALIASES.get(kind, {}).get(short, short) if short not in found else short
     if short not in found:
@@ -137,8 +144,8 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     except (Exception, SystemExit) as error:  # code of plugins may raise any exception
         why = f"cannot be imported: {error}{_hidden_by(point)}"
         raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}") from error
-    if not (isinstance(loaded, type) and issubclass(loaded, interface)):
-        why = f"is not a {interface.__name__}{_hidden_by(point)}"
+    if not (isinstance(loaded, type) and issubclass(loaded, INTERFACES[kind])):
+        why = f"is not a {INTERFACES[kind].__name__}{_hidden_by(point)}"
         raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}")
     return loaded
 

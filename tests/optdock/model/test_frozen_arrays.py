@@ -319,8 +319,10 @@ SHARED = {
 }
 HOLD_NO_ARRAYS = {
     "_warm_once",
+    "_bounds_of",
     "_found",
     "_installed",
+    "_loaded",
     "_store",
     "_store_of",
     "_ruckig",
