@@ -280,14 +280,8 @@ class MotionLimits:
 
 def finite_limits(limits: MotionLimits) -> dict[str, float]:
     """Return all finite bounds by name, including bounds that are not in `LIMITS`."""
-    values = [(name, getattr(limits, name)) for name in _bounds_of(type(limits))]
-    return {name: value for name, value in values if -math.inf < value < math.inf}
-
-
-@functools.cache  # of classes
-def _bounds_of(kind: type[MotionLimits]) -> tuple[str, ...]:
-    """Return the names of all bounds, without `DIMENSIONS`."""
-    return tuple(spec.name for spec in fields(kind) if spec.name not in DIMENSIONS)
+    values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
+    return {name: value for name, value in values.items() if -math.inf < value < math.inf}
 
 
 def _rule(name: str, value: float) -> tuple[str, bool]:

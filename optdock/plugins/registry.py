@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from optdock.errors import InvalidValue, OptdockError, PluginError
 from optdock.geometry.checked import instance
@@ -126,12 +126,11 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     kind = next((k for k, known in INTERFACES.items() if known is interface), "")
     if not isinstance(name, str):
         raise PluginError(f"{kind}: a plugin's name must be text, got {name!r}")
-    loaded: type[P] = _loaded(kind, name)
-    return loaded
+    return cast("type[P]", _loaded(kind, name))
 
 
 @cache  # of the classes found; after an error, the next call tries again
-def _loaded(kind: str, name: str) -> Any:
+def _loaded(kind: str, name: str) -> type[Plugin]:
     """Return the class of a plugin; see `load_plugin`."""
     found = _found(kind)
     short = name.replace("/", "::").rsplit("::", 1)[-1]
@@ -140,7 +139,7 @@ def _loaded(kind: str, name: str) -> Any:
         raise PluginError(f"{kind}: unknown plugin {name!r}{closest(short, found)}; available: {', '.join(found)}")
     point = found[short]
     try:
-        loaded = point.load()
+        loaded: object = point.load()
     except (Exception, SystemExit) as error:  # code of plugins may raise any exception
         why = f"cannot be imported: {error}{_hidden_by(point)}"
         raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}") from error

@@ -319,7 +319,6 @@ SHARED = {
 }
 HOLD_NO_ARRAYS = {
     "_warm_once",
-    "_bounds_of",
     "_found",
     "_installed",
     "_loaded",
