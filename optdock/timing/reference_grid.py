@@ -13,23 +13,32 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import readonly
-from optdock.kernels import Kernel, twin_of
-from optdock.timing.forward_backward import SLOWEST, SpeedProfile, ceiling, forward_backward_pass
 from optdock.timing.jerk_phases import MotionState, Phases, state_after
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.timing.forward_backward import SpeedProfile
     from optdock.timing.path_limits import PathLimits, ReferenceBounds
 
-__all__ = ["Arc", "Grid", "Layout", "grid_of", "launch_arc", "layout", "spread_times", "stop_arc"]
+__all__ = [
+    "CRUISE_SAMPLE",
+    "LEAST_REST",
+    "TUNING",
+    "Arc",
+    "Grid",
+    "grid_of",
+    "launch_arc",
+    "spread_times",
+    "stop_arc",
+    "zone_knot",
+]
 
 _ARC_DRIVE = 0.7  # share of the acceleration and of the yaw acceleration for an arc
 _ARC_SPEED = 0.6  # share of the local speed cap that an arc and its mirror image reach
 _ARC_LENGTH = 0.1  # largest length of an arc as a share of the segment
 _SLOW = 0.25  # share of the local speed cap below which a moving start also has a launch arc
 _HOLD = 0.1  # [s]: time for which the acceleration of a start with v = 0, a > 0 is held first
-_LEAST_REST = 0.1  # share of the segment that must remain between both arcs
+LEAST_REST = 0.1  # share of the segment that must remain between both arcs
 
 _KNOT_JUMP = 0.02  # share of the yaw acceleration: smaller jumps of v^2 * rate, or of a speed cap, need no knot
 _CROWDED = 0.5  # number of jumps per shortest step above which no jump gets a knot
@@ -38,7 +47,13 @@ _LEAST_CELLS = 8
 _CRUISE_DENSITY = 0.5  # factor on the number of knots where the profile is level
 _CRUISE_LEVEL = 0.96  # smallest over largest v^2 where the profile is level
 _CRUISE_YAW = 0.6  # share of the yaw acceleration above which the profile is not level
-_CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s]: spacing of the samples; their number on either side
+CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s]: spacing of the samples; their number on either side
+# For the kernel, in the order of `Tuning` there.
+TUNING = (
+    *(_ARC_DRIVE, _ARC_SPEED, _ARC_LENGTH, _SLOW, _HOLD, LEAST_REST),
+    *(_KNOT_JUMP, _CROWDED, _LEAST_STEP, _LEAST_CELLS),
+    *(_CRUISE_DENSITY, _CRUISE_LEVEL, _CRUISE_YAW, CRUISE_SAMPLE, _CRUISE_REACH),
+)
 
 
 class Arc(NamedTuple):
@@ -126,7 +141,7 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
     """Return the pseudo time at the nodes, slowed down where the speed is constant and needs few knots."""
     limits = bounds.limits
     total = float(profile.time[-1])
-    times = spread_times(total, max(2, int(total / _CRUISE_SAMPLE)))
+    times = spread_times(total, max(2, int(total / CRUISE_SAMPLE)))
     x: FloatArray = np.interp(times, profile.time, profile.speed_squared)
     for limit in limits.turning:
         at_nodes = limit.at_constant_speed(profile.speed_squared[1:], limits.steepest)
@@ -211,12 +226,13 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
         turning=tuple(_least_between(bound, cells[:-1], cells[1:]) for bound in bounds.turning),
         centre_curvature=centre_curvature,
         centre_rate=centre_rate,
-        zone=_zone_knot(limits, knots),
+        zone=zone_knot(limits, knots),
         time=np.interp(knots, limits.s, profile.time),
     )
 
 
-def _zone_knot(limits: PathLimits, knots: FloatArray) -> int:
+def zone_knot(limits: PathLimits, knots: FloatArray) -> int:
+    """Return the index of the knot at the zone start, or 0 if there is none inside."""
     zone = int(knots.searchsorted(limits.zone_start - 1e-12)) if limits.has_zone else 0
     return 0 if zone >= knots.size - 1 else zone
 
@@ -250,96 +266,3 @@ def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> Float
     pairs[::2], pairs[1::2] = first, last + 1
     least: FloatArray = np.minimum.reduceat(np.concatenate((values, [np.inf])), pairs)[::2]
     return least
-
-
-class Layout(NamedTuple):
-    """Profile, arcs and grid of a reference; the grid is None if the arcs leave no room for a reference."""
-
-    profile: SpeedProfile
-    launch: Arc
-    stop: Arc
-    grid: Grid | None
-
-
-_KERNEL = Kernel("optdock_reference_grid", sizes=4, numbers=14)
-_TUNING = readonly(
-    np.array(
-        (
-            *(SLOWEST, _ARC_DRIVE, _ARC_SPEED, _ARC_LENGTH, _SLOW, _HOLD, _LEAST_REST),
-            *(_KNOT_JUMP, _CROWDED, _LEAST_STEP, _LEAST_CELLS),
-            *(_CRUISE_DENSITY, _CRUISE_LEVEL, _CRUISE_YAW, _CRUISE_SAMPLE, _CRUISE_REACH),
-        )
-    )
-)
-
-
-def _layout_native(bounds: ReferenceBounds, start: MotionState) -> Layout:
-    limits, drive, jumps = bounds.limits, bounds.limits.drive, bounds.jumps.size
-    turning, n, cells = limits.turning, limits.s.size, limits.s.size - 1
-    orders = [*(float(one.order) for one in turning), 0.0, 0.0][:2]
-    most = [*(one.bound for one in turning), np.inf, np.inf][:2]
-    zone = limits.zone_start if limits.has_zone else np.inf
-    profile, ends, rows = np.empty((2, n)), np.empty(9), 6 + len(turning)
-    numbers = (
-        drive.max_acceleration,
-        drive.max_deceleration,
-        bounds.jerk,
-        bounds.step,
-        zone,
-        float(limits.caps.steering),
-    )
-    given = (
-        (_TUNING, _TUNING.size),
-        (bounds.packed[0], 7 * n - 6),
-        (limits.curvature, n),
-        (bounds.speed_squared, cells),
-        (ceiling(bounds), cells),
-        (limits.steepest, cells),
-        (np.concatenate(bounds.turning) if turning else _TUNING[:0], cells * len(turning)),
-        (limits.rate_left, cells),
-        (limits.rate_right, cells),
-        (limits.slowness_left, cells),
-        (limits.slowness_right, cells),
-        (bounds.jumps, jumps),
-        (profile, 2 * n),
-        (ends, 9),
-    )
-    room, m = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, _CRUISE_SAMPLE)), 0
-    while True:
-        knots, inner, work = np.empty(rows * (room + 1)), np.empty(4 * room), 2 * (n + room) + 5 * jumps + 16
-        more = (
-            (knots, rows * (room + 1)),
-            (inner, 4 * room),
-            (np.empty(work), work),
-            (np.empty(2 * jumps, dtype=np.int64), 2 * jumps),
-        )
-        m = _KERNEL(
-            (n, len(turning), jumps, room),
-            (*numbers, float(bounds.cap_squared[0]), *orders, *most, *start),
-            (*given, *more),
-        )
-        if m >= 0:
-            break
-        if m == -1:
-            raise ValueError(
-                "reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits"
-            )
-        room = -m
-    launched, jerk, s, v, a, stopped, *last = ends.tolist()
-    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
-    stop = Arc(((stopped, bounds.jerk),), MotionState(*last))
-    grid = None
-    if m:
-        row, inside = knots[: rows * (m + 1)].reshape(rows, m + 1), inner[: 4 * m].reshape(4, m)
-        at_zone = _zone_knot(limits, row[0])
-        grid = Grid(row[0], inside[0], row[1], row[2], row[3:5], tuple(row[6:]), inside[1], inside[2:], at_zone, row[5])
-    return Layout(SpeedProfile(profile[0], profile[1]), launch, stop, grid)
-
-
-@twin_of(_layout_native)
-def layout(bounds: ReferenceBounds, start: MotionState) -> Layout:
-    """Return the profile, the arcs and the grid of a reference from a start state to rest."""
-    profile = forward_backward_pass(bounds, start)
-    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
-    has_room = stop.state.s - launch.state.s >= _LEAST_REST * bounds.limits.length
-    return Layout(profile, launch, stop, grid_of(bounds, profile, launch.state, stop.state) if has_room else None)

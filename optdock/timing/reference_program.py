@@ -21,17 +21,29 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import ENDLESS
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
+from optdock.timing.forward_backward import SLOWEST, SpeedProfile, ceiling, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
-from optdock.timing.reference_grid import layout, spread_times
+from optdock.timing.jerk_phases import MotionState
+from optdock.timing.reference_grid import (
+    CRUISE_SAMPLE,
+    LEAST_REST,
+    TUNING,
+    Arc,
+    Grid,
+    grid_of,
+    launch_arc,
+    spread_times,
+    stop_arc,
+    zone_knot,
+)
 
 if TYPE_CHECKING:
     from optdock.deadline import Deadline
     from optdock.geometry.arrays import FloatArray
-    from optdock.timing.forward_backward import SpeedProfile
-    from optdock.timing.jerk_phases import MotionState, Phases
+    from optdock.timing.jerk_phases import Phases
     from optdock.timing.path_limits import ReferenceBounds
-    from optdock.timing.reference_grid import Arc, Grid
 
 __all__ = [
     "LimitRows",
@@ -43,6 +55,7 @@ __all__ = [
     "jerk_step_bands",
     "limit_rows",
     "prepared",
+    "program_on",
     "solve_reference",
     "spline_of",
     "spline_phases",
@@ -179,7 +192,7 @@ def initial_guess(
     since, until = time - time[0], time[-1] - time
     if first.v > 0.0:
         share = np.minimum(1.0, since / _GUESS_BLEND)
-        x = (1.0 - share) * first.v**2 + share * x
+        x = (1.0 - share) * (first.v * first.v) + share * x
     jerk = bounds.jerk
     launch = np.maximum(first.v + since * (first.a + 0.5 * jerk * since), 0.1 * first.v + 1e-4)
     stop = last.v + until * (-last.a + 0.5 * jerk * until)
@@ -198,61 +211,110 @@ def _filter(bounds: ReferenceBounds, profile: SpeedProfile) -> tuple[int, int]:
 
 
 class Prepared(NamedTuple):
-    """The reference program, with its first coefficients and the stencil of x''."""
+    """Profile and arcs of a reference, and, if there is room between the arcs, its grid and its program."""
 
-    program: Program
-    first: FloatArray  # Shape (M + 2,)
-    curve: FloatArray  # Shape (3, M)
+    profile: SpeedProfile
+    launch: Arc
+    stop: Arc
+    grid: Grid | None = None
+    program: Program | None = None
+    first: FloatArray | None = None  # first coefficients, Shape (M + 2,)
+    curve: FloatArray | None = None  # stencil of x'', Shape (3, M)
 
 
-_KERNEL = Kernel("optdock_reference_program", sizes=6, numbers=15)
+_KERNEL = Kernel("optdock_reference_program", sizes=4, numbers=16)
+_TUNING = readonly(np.array([SLOWEST, *TUNING, _GUESS_SAMPLE, _GUESS_SHARE, _GUESS_BLEND, 1.0 - _DRIVE_MARGIN]))
+_SAMPLE = (
+    0.06  # [s]: smallest period of samples and cells that the kernel assumes for the first estimate of their number
+)
 
 
-def _prepared_native(
-    bounds: ReferenceBounds, profile: SpeedProfile, grid: Grid, first: MotionState, last: MotionState
-) -> Prepared:
-    limits, drive, m = bounds.limits.turning, bounds.limits.drive, grid.steps.size
-    curved = sum(limit.order == 2 for limit in limits)
-    rows, curved_rows = 3 + 4 * (len(limits) - curved), 2 + 4 * curved
-    count, half = _filter(bounds, profile)
-    knots = (grid.bound, grid.curvature, *grid.rate, grid.time, *grid.turning)
-    cells = (grid.steps, grid.centre_curvature, *grid.centre_rate)
-    size, nodes, work = 3 * (rows + 2 * curved_rows) * m + 9, profile.time.size, 17 * m + 3 * count + 2 * half + 5
-    data, coefficients = np.empty(size), np.empty(4 * m + 2)
-    orders = [*(float(limit.order) for limit in limits), 0.0, 0.0][:2]
-    ends = (first.v, first.v**2, first.a, last.v, last.v**2, last.a)
-    share = 1.0 - _DRIVE_MARGIN
-    most = (share * drive.max_acceleration, share * drive.max_deceleration, bounds.jerk, _price(bounds))
-    done = _KERNEL(
-        (m, len(limits), curved, nodes, count + 1, half),
-        (*most, float(profile.time[-1]), _GUESS_SHARE, _GUESS_BLEND, *ends, *orders),
-        (
-            (np.concatenate(knots), (5 + len(limits)) * (m + 1)),
-            (np.concatenate(cells), 4 * m),
-            (np.concatenate(profile), 2 * nodes),
-            (data, size),
-            (coefficients, 4 * m + 2),
-            (np.empty(work), work),
+def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
+    limits, drive, jumps = bounds.limits, bounds.limits.drive, bounds.jumps.size
+    turning, n, cells = len(limits.turning), limits.s.size, limits.s.size - 1
+    zone = limits.zone_start if limits.has_zone else np.inf
+    profile, ends, rows = np.empty((2, n)), np.empty(9), 6 + turning
+    numbers = (
+        *(
+            drive.max_acceleration,
+            drive.max_deceleration,
+            drive.max_jerk,
+            bounds.jerk,
+            _price(bounds),
+            bounds.step,
+            zone,
         ),
+        *(limits.caps.steering, bounds.cap_squared[0], *limits.turning_numbers, *start),
     )
-    if done < 0:
-        raise ValueError("reference program: needs at least two cells and at most two turning limits")
-    program = Program(data, m, rows, curved_rows)
-    return Prepared(program, coefficients[: m + 2], coefficients[m + 2 :].reshape(3, m))
+    given = (
+        (_TUNING, _TUNING.size),
+        (bounds.packed[0], 7 * n - 6),
+        (limits.curvature, n),
+        (bounds.speed_squared, cells),
+        (ceiling(bounds), cells),
+        (limits.steepest, cells),
+        (np.concatenate(bounds.turning) if turning else _TUNING[:0], cells * turning),
+        (limits.rate_left, cells),
+        (limits.rate_right, cells),
+        (limits.slowness_left, cells),
+        (limits.slowness_right, cells),
+        (bounds.jumps, jumps),
+        (profile, 2 * n),
+        (ends, 9),
+    )
+    linear, curved = limits.turning_rows
+    room, parts = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE)), 3 * (linear + 2 * curved)
+    while True:
+        knots, inside, data = np.empty(rows * (room + 1)), np.empty(4 * room), np.empty(parts * room + 9)
+        first, work = np.empty(4 * room + 2), np.empty(size := 2 * n + 34 * room + 5 * jumps + 32)
+        new = (
+            (knots, rows * (room + 1)),
+            (inside, 4 * room),
+            (data, parts * room + 9),
+            (first, 4 * room + 2),
+            (work, size),
+            (np.empty(2 * jumps, dtype=np.int64), 2 * jumps),
+        )
+        m = _KERNEL((n, turning, jumps, room), numbers, (*given, *new))
+        if m >= -1:
+            break
+        room = -m
+    if m < 0:
+        raise ValueError("reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits")
+    launched, jerk, s, v, a, stopped, *last = ends.tolist()
+    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
+    found = Prepared(SpeedProfile(*profile), launch, Arc(((stopped, bounds.jerk),), MotionState(*last)))
+    if m == 0:
+        return found
+    row, cell = knots[: rows * (m + 1)].reshape(rows, m + 1), inside[: 4 * m].reshape(4, m)
+    at_zone = zone_knot(limits, row[0])
+    grid = Grid(row[0], cell[0], row[1], row[2], row[3:5], tuple(row[6:]), cell[1], cell[2:], at_zone, row[5])
+    program = Program(data[: parts * m + 9], m, linear, curved)
+    return Prepared(*found[:3], grid, program, first[: m + 2], first[m + 2 : 4 * m + 2].reshape(3, m))
 
 
 @twin_of(_prepared_native)
-def prepared(
+def prepared(bounds: ReferenceBounds, start: MotionState) -> Prepared:
+    """Return the reference program from a start state to rest, and its first coefficients."""
+    profile = forward_backward_pass(bounds, start)
+    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
+    if stop.state.s - launch.state.s < LEAST_REST * bounds.limits.length:
+        return Prepared(profile, launch, stop)
+    grid = grid_of(bounds, profile, launch.state, stop.state)
+    return Prepared(profile, launch, stop, grid, *program_on(bounds, profile, grid, launch.state, stop.state))
+
+
+def program_on(
     bounds: ReferenceBounds, profile: SpeedProfile, grid: Grid, first: MotionState, last: MotionState
-) -> Prepared:
-    """Return the reference program on a grid from `first` to `last`, and its first coefficients."""
+) -> tuple[Program, FloatArray, FloatArray]:
+    """Return the reference program on a grid from `first` to `last`, its first coefficients, and the stencil of x''."""
     guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
     # A swing from -J to J is a step of x'' by 4 J / v.
     bands = jerk_step_bands(spline, np.sqrt(0.5 * _price(bounds) * guess[1:-1]) / (4.0 * bounds.jerk))
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
     with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
     program = Program.of(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
-    return Prepared(program, coefficients_of(grid.steps, guess, first, last), spline.curve)
+    return program, coefficients_of(grid.steps, guess, first, last), spline.curve
 
 
 def _price(bounds: ReferenceBounds) -> float:
@@ -285,11 +347,10 @@ def solve_reference(
     """
     deadline.look()
     limits = bounds.limits
-    profile, launch, stop, grid = layout(bounds, start)
-    if grid is None:
+    profile, launch, stop, grid, program, c, curve = prepared(bounds, start)
+    if grid is None or program is None or c is None or curve is None:
         return None
     first, last = launch.state, stop.state
-    program, c, curve = prepared(bounds, profile, grid, first, last)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
         c, iterations = solve(program, c, deadline.look)
     padded = np.concatenate((grid.steps[:1], grid.steps, grid.steps[-1:]))
