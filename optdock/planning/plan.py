@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -181,7 +182,7 @@ class DockPlan:
     def __repr__(self) -> str:
         return f"<DockPlan {self}>"
 
-    @property
+    @functools.cached_property
     def price(self) -> float:
         """The price by which plans are compared [s], see `price_of`."""
         return price_of(self.path, self.trajectory.duration, self.motion.problem.robot)

@@ -12,5 +12,6 @@ speed v = ds/dt >= 0, its rate a, jerk j, curvature k(s) and its rate k'(s):
 In x = v^2 all limits except jerk are linear and the duration is convex. A reference is the solution of a convex program
 in x with an extension for jerk. ruckig turns it into exact motions, which an independent proof accepts or rejects.
 Modules in reading order: jerk_phases, turning_limits, path_limits, plan_checks, start_states, retry_strategy, windowed
-(plugin `Windowed`), reference_program, interior_point, ruckig_moves, near_optimal (plugin `NearOptimal`).
+(plugin `Windowed`), forward_backward, reference_grid, reference_program, interior_point, ruckig_moves, near_optimal
+(plugin `NearOptimal`).
 """

@@ -17,6 +17,7 @@ The kernel evaluates all sums in the order of its twin, so sums over rows or cel
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -52,25 +53,36 @@ def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
 
 
 class Program(NamedTuple):
-    """Program with M cells and M + 2 coefficients; the two coefficients at each end are given."""
+    """Program with M cells and M + 2 coefficients; the two coefficients at each end are given.
 
-    steps: FloatArray  # lengths of the cells h, Shape (M,) [m]
-    rows: FloatArray  # linear constraints A c <= 1 as stencils, Shape (3, rows, M)
-    with_speed: FloatArray  # B c v <= 1 as stencils, Shape (3, rows, M); v in rows 0, 1: the largest in the cell
-    places: FloatArray  # v^2 for the other rows as stencils, Shape (3, rows - 2, M)
-    right_share: FloatArray  # weight of c_{i+1} in the value at knot i, Shape (M + 1,)
-    quadratic: FloatArray  # upper bands of Q, Shape (4, M + 2): entry (3 - d, j) is Q[j - d, j]
+    Its parts are listed in `of`.
+    """
+
+    data: FloatArray  # all parts, one after the other
+    m: int  # number of cells
+    linear: int  # number of rows A
+    curved: int  # number of rows B
 
     @classmethod
-    def packed(cls, data: FloatArray, m: int, linear: int, curved: int) -> Program:
-        """Return the parts of a program of `m` cells, given one after the other in `data`."""
-        sizes = (m, 3 * linear * m, 3 * curved * m, 3 * (curved - 2) * m, m + 1, 4 * (m + 2))
-        parts, end = [], 0
-        for size in sizes:
-            parts.append(data[end : end + size])
-            end += size
-        rows, with_speed, places = (part.reshape(3, -1, m) for part in parts[1:4])
-        return cls(parts[0], rows, with_speed, places, parts[4], parts[5].reshape(4, -1))
+    def of(cls, *parts: FloatArray) -> Program:
+        """Return the program with these parts.
+
+        Args:
+            parts: Lengths of the cells h, Shape (M,) [m]; linear constraints A c <= 1 as stencils, Shape (3, rows, M);
+                B c v <= 1 as stencils, Shape (3, rows, M), v in rows 0, 1: the largest in the cell; v^2 for the other
+                rows as stencils, Shape (3, rows - 2, M); weight of c_{i+1} in the value at knot i, Shape (M + 1,);
+                upper bands of Q, Shape (4, M + 2): entry (3 - d, j) is Q[j - d, j].
+        """
+        data = np.concatenate([part.ravel() for part in parts])
+        return cls(data, parts[0].size, parts[1].shape[1], parts[2].shape[1])
+
+    @property
+    def parts(self) -> tuple[FloatArray, ...]:
+        """Views of the parts, see `of`."""
+        m, linear, curved = self[1:]
+        shapes = (m,), (3, linear, m), (3, curved, m), (3, curved - 2, m), (m + 1,), (4, m + 2)
+        ends = list(itertools.accumulate([math.prod(shape) for shape in shapes], initial=0))
+        return tuple(self.data[a:b].reshape(shape) for a, b, shape in zip(ends[:-1], ends[1:], shapes, strict=True))
 
 
 class Iterate(NamedTuple):
@@ -88,11 +100,9 @@ class Iterate(NamedTuple):
     ended: bool = False  # whether the method has ended
 
     @classmethod
-    def of(cls, program: Program, c: FloatArray) -> Iterate:
+    def of(cls, c: FloatArray) -> Iterate:
         """Return the first iterate for the coefficients `c`, Shape (M + 2,)."""
-        linear, curved = program.rows.shape[1:], program.with_speed.shape[1:]
-        slack = np.zeros((linear[0] + curved[0], curved[1]))
-        return cls(c, slack, slack, np.zeros(curved))
+        return cls(c, c[:0], c[:0], c[:0])
 
 
 def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[FloatArray, int]:
@@ -103,8 +113,8 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
         c: First iterate, positive, with the given values of the two coefficients at each end, Shape (M + 2,).
         look: Called as often as there are iterations; it may raise.
     """
-    iterate = Iterate.of(program, c)
-    most = max(1, _AT_ONCE // program.steps.size)
+    iterate = Iterate.of(c)
+    most = max(1, _AT_ONCE // program.m)
     while not iterate.ended:
         found = advanced(program, iterate, most)
         for _ in range(found.iteration - iterate.iteration):
@@ -114,30 +124,32 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
 
 
 _KERNEL = Kernel("optdock_interior_point", sizes=5, numbers=12)
+_SETTINGS = (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP)
 assert _FREEZE == 8  # a constant of the kernel
 
 
 def _advanced_native(program: Program, iterate: Iterate, most: int) -> Iterate:
-    m, linear, curved = program.steps.size, program.rows.shape[1], program.with_speed.shape[1]
+    m, linear, curved = program.m, program.linear, program.curved
     size, before = (linear + curved) * m, iterate.iteration
-    data = np.concatenate([part.ravel() for part in program])
-    state = np.concatenate([part.ravel() for part in iterate[:4]] + [[iterate.mu, iterate.ended]])
-    work = (5 * linear + 8 * curved + 17) * m + 4
+    later = 2 * size + curved * m + 2
+    more = [part.ravel() for part in iterate[1:4]] + [[iterate.mu, iterate.ended]] if before else [np.zeros(later)]
+    state, work = np.concatenate([iterate.c, *more]), (5 * linear + 8 * curved + 17) * m + 4
     count = _KERNEL(
         (m, linear, curved, before, min(most, _MOST_ITERATIONS - before)),
-        (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP),
+        _SETTINGS,
         (
-            (data, 6 * m + 9 + 3 * (linear + 2 * curved - 2) * m),
-            (state, m + 4 + 2 * size + curved * m),
+            (program.data, 6 * m + 9 + 3 * (linear + 2 * curved - 2) * m),
+            (state, m + 2 + later),
             (np.empty(work), work),
         ),
     )
     if count < 0:
         raise ValueError("program: must have at least 4 cells and 2 rows with speed")
     slack, dual = state[m + 2 : m + 2 + 2 * size].reshape(2, -1, m)
-    share = state[m + 2 + 2 * size : -2].reshape(-1, m)
-    ended = bool(state[-1]) or before + count == _MOST_ITERATIONS
-    return Iterate(state[: m + 2], slack, dual, share, float(state[-2]), before + count, ended)
+    share, (mu, ended) = state[m + 2 + 2 * size : -2].reshape(-1, m), state[-2:].tolist()
+    return Iterate(
+        state[: m + 2], slack, dual, share, mu, before + count, bool(ended) or before + count == _MOST_ITERATIONS
+    )
 
 
 @twin_of(_advanced_native)
@@ -192,30 +204,33 @@ def _centering(step: float) -> float:
 
 def _shares(program: Program, c: FloatArray) -> FloatArray:
     """Return f, sqrt(c) divided by the speed of each row of B in its cell, Shape (rows of B, M)."""
-    knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
+    *_, places, right_share, _quadratic = program.parts
+    knot = c[:-1] + right_share * (c[1:] - c[:-1])
     largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
-    there = np.maximum(applied(program.places, c), _LEAST_SHARE * c[1:-1])
+    there = np.maximum(applied(places, c), _LEAST_SHARE * c[1:-1])
     shares: FloatArray = np.sqrt(c[1:-1] / np.concatenate(([largest, largest], there)))
     return shares
 
 
 def _values(program: Program, c: FloatArray, share: FloatArray) -> FloatArray:
     """Return the values of all constraints, at most 0 if satisfied; rows B are in units of 1 / sqrt(c)."""
-    scaled = program.with_speed * np.sqrt(c[1:-1])
-    return np.concatenate((applied(program.rows, c) - 1.0, applied(scaled, c) - share))
+    _steps, rows, with_speed, *_ = program.parts
+    scaled = with_speed * np.sqrt(c[1:-1])
+    return np.concatenate((applied(rows, c) - 1.0, applied(scaled, c) - share))
 
 
 def _stencils(program: Program, c: FloatArray, share: FloatArray) -> FloatArray:
     """Return the derivatives of all constraints as stencils, Shape (3, rows, M)."""
+    _steps, rows, with_speed, *_ = program.parts
     root = np.sqrt(c[1:-1])
-    scaled = program.with_speed * root
+    scaled = with_speed * root
     scaled[1] += 0.5 * share / (root * root)
-    return np.concatenate((program.rows, scaled), axis=1)
+    return np.concatenate((rows, scaled), axis=1)
 
 
 def _objective(program: Program, c: FloatArray) -> float:
     """Return the duration of the reference [s]."""
-    return float(np.cumsum(program.steps / np.sqrt(c[1:-1]))[-1])
+    return float(np.cumsum(program.parts[0] / np.sqrt(c[1:-1]))[-1])
 
 
 def _newton_change(
@@ -235,13 +250,14 @@ def _newton_change(
     normal, slope = np.add.reduce(products, axis=1), np.add.reduce(target * stencil, axis=1)
     root = np.sqrt(c[1:-1])
     square = root * root
-    cube = program.steps / (root * square)
-    band = program.quadratic[:, 2:-2].copy()
+    steps, *_, quadratic = program.parts
+    cube = steps / (root * square)
+    band = quadratic[:, 2:-2].copy()
     band[3] += normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
     band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
     band[1, 2:] += normal[5, 2:-2]
     force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
-    force -= _band_product(program.quadratic, c)[2:-2]
+    force -= _band_product(quadratic, c)[2:-2]
     change = np.zeros(c.size)
     change[2:-2] = _band_solution(band, force)
     return change

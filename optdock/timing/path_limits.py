@@ -17,7 +17,7 @@ Speeds are stored as their reciprocals, `slowness`: the largest reciprocal is th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -64,6 +64,7 @@ _JERK_MARGIN = 0.015
 CHECK_MARGIN = 0.001  # share of the speed caps when moves are accepted; for the yaw acceleration twice this share
 _RELIEVED_SPEED, _RELIEVED_YAW = 1e-4, 1e-3  # used where full braking from a moving start permits no margins
 _JUMP = 0.004  # share of the yaw acceleration: the margins cover smaller jumps of v^2 * rate
+_NONE = readonly(np.zeros(0, dtype=np.int64))
 _CAP_JUMP = 0.001  # share of a speed cap: the margins cover smaller jumps of the steering cap
 
 
@@ -81,11 +82,15 @@ class SpeedCaps:
 
     drive: MotionLimits
     direction: Direction
+    max_speed: float = field(init=False)  # speed limit of the gear [m/s]
+    steering: bool = field(
+        init=False
+    )  # whether the steering rate is limited, so that the curvature rate caps the speed
 
-    @property
-    def max_speed(self) -> float:
-        """Speed limit of the gear [m/s]."""
-        return self.drive.max_speed if self.direction > 0 else self.drive.max_reverse_speed
+    def __post_init__(self) -> None:
+        drive = self.drive
+        top = drive.max_speed if self.direction > 0 else drive.max_reverse_speed
+        vars(self).update(max_speed=top, steering=math.isfinite(drive.max_steering_rate))
 
     def slowness(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
         """Return the reciprocal of the lowest speed cap at |curvature| + excess, without the steering cap. Shape (n,).
@@ -94,16 +99,11 @@ class SpeedCaps:
         """
         bend, drive = np.abs(curvature) + excess, self.drive
         slowness = np.maximum(1.0 / self.max_speed, bend * (1.0 / drive.max_yaw_rate))
-        if np.isfinite(drive.max_lateral_acceleration):
+        if math.isfinite(drive.max_lateral_acceleration):
             slowness = np.maximum(slowness, np.sqrt(bend * (1.0 / drive.max_lateral_acceleration)))
-        if np.isfinite(drive.max_wheel_speed):
+        if math.isfinite(drive.max_wheel_speed):
             slowness = np.maximum(slowness, (1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed)
         return slowness
-
-    @property
-    def steering(self) -> bool:
-        """Whether the steering rate is limited, so that the curvature rate caps the speed."""
-        return math.isfinite(self.drive.max_steering_rate)
 
     def steering_slowness(self, curvature: FloatArray, rate: FloatArray) -> FloatArray:
         """Return the reciprocal of the largest speed that the steering rate permits at each curvature and its rate.
@@ -130,11 +130,14 @@ class PathLimits:
     """Limits along one segment. The curvature is linear between nodes; its rate is linear in a cell and jumps at nodes.
 
     Attributes:
+        drive: Limits of the drive.
         slowness_left: 1 / speed cap just to the right of every cell's left node, without the zone, Shape (n - 1,)
         [s/m].
         slowness_right: The same just to the left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         turning: Turning limits of the drive.
+        turning_rows: Number of linear rows, and of rows with the speed, of the reference program.
+        turning_numbers: Orders and bounds of two turning limits, for kernels.
         length: Length of the segment [m].
         duration_estimate: Longest of three approximate lower bounds [s]: along the maximum velocity curve, from rest to
             rest under only the acceleration limit, and from rest to rest under only the jerk limit.
@@ -151,6 +154,7 @@ class PathLimits:
     begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
     def __post_init__(self) -> None:
+        self.drive = drive = self.caps.drive
         slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
         left, right = slowness[:-1], slowness[1:]
         if self.caps.steering:
@@ -160,18 +164,16 @@ class PathLimits:
             right = np.maximum(right, self.caps.steering_slowness(np.where(crosses, 0.0, last), self.rate_right))
         self.slowness_left, self.slowness_right = readonly(left), readonly(right)
         self.steepest = readonly(np.maximum(np.abs(self.rate_left), np.abs(self.rate_right)))
-        self.turning = turning_limits(self.drive)
-        length, drive = float(self.s[-1]), self.drive
-        self.length = length
+        self.turning = turning_limits(drive)
+        second = len([one for one in self.turning if one.order == 2])
+        self.turning_rows = 3 + 4 * (len(self.turning) - second), 2 + 4 * second
+        orders, bounds = [float(one.order) for one in self.turning], [one.bound for one in self.turning]
+        self.turning_numbers = (*orders, 0.0, 0.0)[:2] + (*bounds, math.inf, math.inf)[:2]
+        self.length = length = float(self.s[-1])
         along_curve = float(((self.s[1:] - self.s[:-1]) * self.maximum_velocity_curve()).sum())
         by_drive = math.sqrt(2.0 * length * (1.0 / drive.max_acceleration + 1.0 / drive.max_deceleration))
         by_jerk = math.exp(math.log(32.0 * length / drive.max_jerk) / 3.0)
         self.duration_estimate = max(along_curve, by_drive, by_jerk)
-
-    @property
-    def drive(self) -> MotionLimits:
-        """Limits of the drive."""
-        return self.caps.drive
 
     @property
     def drive_bounds(self) -> DriveBounds:
@@ -375,15 +377,15 @@ class ReferenceBounds:
         self._left = np.array((limits.curvature[:-1], limits.rate_left, left))
         self._slope = (ends - self._left) / (limits.s[1:] - limits.s[:-1])
         relieved = limits.s[:-1] < self.relief
-        factor = self._factors()
+        factor = self._factors() if self.tightenings else 1.0
         cap = np.maximum(left, right) ** -2.0
         speed = (factor * np.where(relieved, 1.0 - _RELIEVED_SPEED, 1.0 - SPEED_MARGIN)) ** 2
         turning = factor**2 * np.where(relieved, 1.0 - _RELIEVED_YAW, 1.0 - _YAW_MARGIN)
-        jump, least = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]), np.minimum(cap[1:], cap[:-1])
-        large = np.zeros(jump.size, dtype=np.bool_)
-        for limit in limits.turning:
-            large |= limit.at_constant_speed(least, jump) > _JUMP * limit.bound
-        self.jumps = large.nonzero()[0] + 1
+        self.jumps = _NONE
+        if limits.turning:
+            jump, least = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]), np.minimum(cap[1:], cap[:-1])
+            large = [limit.at_constant_speed(least, jump) > _JUMP * limit.bound for limit in limits.turning]
+            self.jumps = np.logical_or.reduce(large).nonzero()[0] + 1
         if limits.caps.steering:
             at_caps = np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > _CAP_JUMP) + 1
             self.jumps = np.union1d(self.jumps, at_caps)
@@ -412,11 +414,13 @@ class ReferenceBounds:
         jumps, Shape (5, jumps).
         """
         limits, nodes = self.limits, self.jumps
+        along = np.concatenate((limits.s, self._left.ravel(), self._slope.ravel()))
+        if not nodes.size:
+            return along, np.zeros((5, 0))
         slowness = np.zeros(nodes.size)
         if limits.caps.steering:
             slowness = np.maximum(limits.slowness_right[nodes - 1], limits.slowness_left[nodes])
         sides = limits.rate_right[nodes - 1], limits.rate_left[nodes]
-        along = np.concatenate((limits.s, self._left.ravel(), self._slope.ravel()))
         return along, np.array((limits.s[nodes], limits.curvature[nodes], *sides, slowness))
 
     def curve_at(self, s: FloatArray) -> FloatArray:

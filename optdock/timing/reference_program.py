@@ -9,69 +9,58 @@ jerk-limited move exists between the states at any two of its knots.
     subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
-At v = 0 the formulation in x is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope
-and zero value never moves. Therefore two arcs of constant jerk connect the reference to rest: the launch arc and the
-stop arc.
-
-Order of this module: the arcs, the knots and their limits, the linear maps of the spline, the constraints,
-the initial guess, the solution, and its motion.
+Arcs, knots and limits at the knots are made in `reference_grid`. Order of this module: the linear maps of the spline,
+the constraints, the initial guess, the solution, and its motion.
 """
 
 from __future__ import annotations
 
-import bisect
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import ENDLESS
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
-from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
+from optdock.timing.forward_backward import SLOWEST, SpeedProfile, ceiling, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
-from optdock.timing.jerk_phases import MotionState, Phases, state_after
+from optdock.timing.jerk_phases import MotionState
+from optdock.timing.reference_grid import (
+    CRUISE_SAMPLE,
+    LEAST_REST,
+    TUNING,
+    Arc,
+    Grid,
+    grid_of,
+    launch_arc,
+    spread_times,
+    stop_arc,
+    zone_knot,
+)
 
 if TYPE_CHECKING:
     from optdock.deadline import Deadline
-    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.timing.path_limits import PathLimits, ReferenceBounds
+    from optdock.geometry.arrays import FloatArray
+    from optdock.timing.jerk_phases import Phases
+    from optdock.timing.path_limits import ReferenceBounds
 
 __all__ = [
-    "Arc",
-    "Grid",
     "LimitRows",
     "Prepared",
     "ReferenceStates",
     "Spline",
     "coefficients_of",
-    "grid_of",
     "initial_guess",
     "jerk_step_bands",
-    "launch_arc",
     "limit_rows",
     "prepared",
+    "program_on",
     "solve_reference",
     "spline_of",
     "spline_phases",
-    "stop_arc",
 ]
 
-
-_ARC_DRIVE = 0.7  # share of the acceleration and of the yaw acceleration for an arc
-_ARC_SPEED = 0.6  # share of the local speed cap that an arc and its mirror image reach
-_ARC_LENGTH = 0.1  # largest length of an arc as a share of the segment
-_SLOW = 0.25  # share of the local speed cap below which a moving start also has a launch arc
-_HOLD = 0.1  # [s]: time for which the acceleration of a start with v = 0, a > 0 is held first
-_LEAST_REST = 0.1  # share of the segment that must remain between both arcs
-
-_KNOT_JUMP = 0.02  # share of the yaw acceleration: smaller jumps of v^2 * rate, or of a speed cap, need no knot
-_CROWDED = 0.5  # number of jumps per shortest step above which no jump gets a knot
-_LEAST_STEP = 0.4  # share of the step: jumps closer together share a cell
-_LEAST_CELLS = 8
-_CRUISE_DENSITY = 0.5  # factor on the number of knots where the profile is level
-_CRUISE_LEVEL = 0.96  # smallest over largest v^2 where the profile is level
-_CRUISE_YAW = 0.6  # share of the yaw acceleration above which the profile is not level
-_CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s]: spacing of the samples; their number on either side
 
 _GUESS_SAMPLE = 0.02  # [s]: sampling period of the filter
 _GUESS_SHARE = 0.9  # factor on the filtered v^2, to stay inside the limits
@@ -86,213 +75,6 @@ _SMOOTH_JERK_STEP_PRICE = 0.1  # [s]: the same if the reference itself is the mo
 # iterate is arbitrary, and the samples of a motion of weeks would exhaust the memory. For solutions the factor is below
 # 4.
 _HOPELESS = 10.0
-
-
-class Arc(NamedTuple):
-    """Phases at one end of the reference, and the state at which they join it."""
-
-    phases: Phases
-    state: MotionState
-
-
-def stop_arc(bounds: ReferenceBounds) -> Arc:
-    """Return the arc of constant +J to rest at the end, with length J t^3 / 6, from v = J t^2 / 2, a = -J t."""
-    jerk = bounds.jerk
-    a = _end_acceleration(bounds, bounds.limits.drive.max_deceleration, 0.0, 0.0, at_end=True)
-    time = a / jerk
-    return Arc(((time, jerk),), MotionState(bounds.limits.length - jerk * time**3 / 6.0, 0.5 * jerk * time * time, -a))
-
-
-def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
-    """Return the arc of constant +J from rest or a low speed; for a faster start, the arc has no phases."""
-    jerk = bounds.jerk
-    a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
-    if start.v * start.v >= _SLOW**2 * float(bounds.cap_squared[0]):
-        return Arc((), start)
-    if start.a < a:
-        phase = ((a - start.a) / jerk, jerk)
-    elif start.v < 0.5 * start.a * _HOLD:
-        phase = (_HOLD, 0.0)
-    else:
-        return Arc((), start)
-    return Arc((phase,), state_after(start, *phase))
-
-
-def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float, *, at_end: bool) -> float:
-    """Return the end acceleration of an arc of jerk J for which the arc and its mirror image stay below the caps."""
-    limits, jerk = bounds.limits, bounds.jerk
-    top = max(_ARC_DRIVE * drive, a)
-    reach = max(state_after(MotionState(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
-    if at_end:
-        cells = slice(max(0, int(limits.s.searchsorted(limits.length - reach)) - 1), None)
-    else:
-        cells = slice(0, int(limits.s.searchsorted(reach)) + 1)
-    bend, rate = float(np.abs(limits.curvature[cells]).max()), float(limits.steepest[cells].max())
-    caps = math.sqrt(float(bounds.speed_squared[cells].min())), *(limit.fastest(rate) for limit in limits.turning)
-    return min(
-        math.sqrt(max(0.0, jerk * (_ARC_SPEED * min(caps) - v) + 0.5 * a * a)),
-        top,
-        *(limit.arc_acceleration(v, jerk, bend, _ARC_DRIVE) for limit in limits.turning),
-        math.pow(6.0 * _ARC_LENGTH * limits.length * jerk * jerk, 1.0 / 3.0),
-    )
-
-
-class Grid(NamedTuple):
-    """Knots of the reference and limits at the knots."""
-
-    knots: FloatArray  # Shape (M + 1,) [m]
-    steps: FloatArray  # Shape (M,) [m]
-    bound: FloatArray  # largest v^2 at the knots, the minimum over both half cells around, Shape (M + 1,) [m^2/s^2]
-    curvature: FloatArray  # at the knots, Shape (M + 1,) [1/m]
-    rate: FloatArray  # largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2]
-    turning: tuple[FloatArray, ...]  # turning limits for the reference at the knots, Shape (M + 1,) each
-    centre_curvature: FloatArray  # at the cell centres, Shape (M,) [1/m]
-    centre_rate: FloatArray  # as `rate`, at the cell centres, Shape (2, M) [1/m^2]
-    zone: int  # index of the knot at the zone start; 0 if there is none inside
-    time: FloatArray  # pseudo time of the knots, Shape (M + 1,) [s]
-
-
-def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
-    """Return knots from `first` to `last`, at large jumps and every step of profile time, or two at constant speed."""
-    limits, step = bounds.limits, bounds.step
-    clock = _cruise_clock(bounds, profile)
-    jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > _KNOT_JUMP]
-    breaks = _breaks(bounds, profile, (first, last), jumps)
-    times = np.interp(breaks, limits.s, clock)
-    spans = times[1:] - times[:-1]
-    parts = np.maximum(1, np.rint(spans / step)).astype(np.int64)
-    parts[spans.argmax()] += max(0, _LEAST_CELLS - int(parts.sum()))
-    owner = np.arange(parts.size).repeat(parts)
-    rank = np.arange(owner.size) - (parts.cumsum() - parts).repeat(parts)
-    inner = np.interp(times[owner] + spans[owner] * rank / parts[owner], clock, limits.s)
-    knots = np.concatenate((np.where(rank == 0, breaks[owner], inner), breaks[-1:]))
-    return _limits_on(bounds, profile, knots, limits.s[jumps])
-
-
-def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
-    """Return the pseudo time at the nodes, slowed down where the speed is constant and needs few knots."""
-    limits = bounds.limits
-    total = float(profile.time[-1])
-    times = _spread(total, max(2, int(total / _CRUISE_SAMPLE)))
-    x: FloatArray = np.interp(times, profile.time, profile.speed_squared)
-    for limit in limits.turning:
-        at_nodes = limit.at_constant_speed(profile.speed_squared[1:], limits.steepest)
-        turning = np.interp(times, profile.time[1:], at_nodes)
-        x = np.where(turning > _CRUISE_YAW * limit.bound, 0.0, x)
-    padded = np.zeros(x.size + 2 * _CRUISE_REACH)
-    padded[_CRUISE_REACH:-_CRUISE_REACH] = x
-    around = np.ndarray((x.size, 2 * _CRUISE_REACH + 1), np.float64, padded, strides=2 * padded.strides)
-    level = np.minimum.reduce(around, axis=1) > _CRUISE_LEVEL * np.maximum.reduce(around, axis=1)
-    density = np.where(level, _CRUISE_DENSITY, 1.0)
-    gains = 0.5 * (density[:-1] + density[1:]) * (times[1:] - times[:-1])
-    clock = np.concatenate(([0.0], gains.cumsum()))
-    spread: FloatArray = np.interp(profile.time, times, clock)
-    return spread
-
-
-def _spread(total: float, count: int) -> FloatArray:
-    """Return `count` + 1 times from 0 to `total`."""
-    times: FloatArray = np.arange(count + 1, dtype=np.float64) * (total / count)
-    times[-1] = total
-    return times
-
-
-def _breaks(
-    bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[MotionState, MotionState], jumps: IntArray
-) -> FloatArray:
-    """Return the required knots: both ends, the zone start, and the largest jumps that are far enough apart."""
-    limits, (first, last) = bounds.limits, ends
-    gap = _LEAST_STEP * bounds.step
-    fixed = [first.s, last.s]
-    if limits.has_zone and first.s + 1e-9 < limits.zone_start < last.s - 1e-9:
-        fixed.append(limits.zone_start)
-    found = jumps[(limits.s[jumps] > first.s) & (limits.s[jumps] < last.s)]
-    if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
-        found = found[:0]
-    taken = sorted(np.interp(fixed, limits.s, profile.time).tolist())
-    size = _jump_sizes(bounds, profile, found)
-    for i in found[(-size).argsort(kind="stable")].tolist():
-        time = float(profile.time[i])
-        place = min(max(bisect.bisect(taken, time), 1), len(taken) - 1)  # both ends are already in the list
-        if taken[place] - time > gap and time - taken[place - 1] > gap:
-            taken.insert(place, time)
-            fixed.append(float(limits.s[i]))
-    if first.a < 0.0:  # the coefficient v^2 + a h of the first cell must stay positive
-        nearest = first.s - 0.4 * first.v * first.v / first.a
-        if nearest < min(s for s in fixed if s > first.s):
-            fixed.append(nearest)
-    return np.array(sorted(fixed))
-
-
-def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
-    """Return each node's jump: the larger of its ratio to the turning limits and v times the jump of 1 / speed cap."""
-    limits, x = bounds.limits, profile.speed_squared[nodes]
-    jump = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1])
-    sizes: FloatArray = np.zeros(nodes.size)
-    for limit in limits.turning:
-        sizes = np.maximum(sizes, limit.at_constant_speed(x, jump) / limit.bound)
-    if limits.caps.steering:
-        sizes = np.maximum(sizes, np.sqrt(x) * np.abs(limits.slowness_left[nodes] - limits.slowness_right[nodes - 1]))
-    return sizes
-
-
-def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray, jumps: FloatArray) -> Grid:
-    limits = bounds.limits
-    centres = 0.5 * (knots[:-1] + knots[1:])
-    cells = limits.cells_at(np.concatenate((knots[:1], centres, knots[-1:])))
-    cells[-1] = limits.s.size - 2
-    curvature, right, _slow = bounds.curve_at(knots)
-    _k, left, _slow = bounds.curve_at(knots - 1e-9)
-    centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
-    rate = np.array((np.maximum(left, right), np.minimum(left, right)))
-    centre_rate = np.array((centre_rate, centre_rate))
-    hidden = _hidden_jumps(jumps, knots)
-    if hidden.any():
-        rate, centre_rate = _extremes(limits, knots, hidden, rate, centre_rate)
-    zone = int(knots.searchsorted(limits.zone_start - 1e-12)) if limits.has_zone else 0
-    return Grid(
-        knots=knots,
-        steps=knots[1:] - knots[:-1],
-        bound=_least_between(bounds.speed_squared, cells[:-1], cells[1:]),
-        curvature=curvature,
-        rate=rate,
-        turning=tuple(_least_between(bound, cells[:-1], cells[1:]) for bound in bounds.turning),
-        centre_curvature=centre_curvature,
-        centre_rate=centre_rate,
-        zone=0 if zone >= knots.size - 1 else zone,
-        time=np.interp(knots, limits.s, profile.time),
-    )
-
-
-def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
-    """Return, for each cell of the grid, whether it contains a jump without a knot. Shape (M,)."""
-    nearest = knots[np.minimum(knots.searchsorted(places - 1e-9), knots.size - 1)]
-    places = places[np.abs(nearest - places) > 1e-9]
-    counts = places.searchsorted(knots)
-    found: BoolArray = counts[1:] > counts[:-1]
-    return found
-
-
-def _extremes(
-    limits: PathLimits, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the extreme rates at knots and centres, over the half cells around them if a cell hides a jump."""
-    quarter = 0.25 * np.diff(knots)
-    borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
-    cells = limits.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
-    high = np.maximum(limits.rate_left, limits.rate_right)
-    low = np.minimum(limits.rate_left, limits.rate_right)
-    spread = np.stack((-_least_between(-high, cells[:-1], cells[1:]), _least_between(low, cells[:-1], cells[1:])))
-    beside = np.append(hidden, False) | np.insert(hidden, 0, False)
-    return np.where(beside, spread[:, ::2], rate), np.where(hidden, spread[:, 1::2], centre_rate)
-
-
-def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    """Return the minimum of `values[first[i] : last[i] + 1]` for every i."""
-    pairs = np.empty(2 * first.size, dtype=np.int64)
-    pairs[::2], pairs[1::2] = first, last + 1
-    least: FloatArray = np.minimum.reduceat(np.concatenate((values, [np.inf])), pairs)[::2]
-    return least
 
 
 class Spline(NamedTuple):
@@ -400,7 +182,7 @@ def initial_guess(
     """
     time = grid.time
     count, samples = _filter(bounds, profile)
-    times = _spread(float(profile.time[-1]), count)
+    times = spread_times(float(profile.time[-1]), count)
     values = np.interp(times, profile.time, profile.speed_squared)
     padded = np.zeros(values.size + 2 * samples + 1)
     padded[samples + 1 : samples + 1 + values.size] = values
@@ -410,7 +192,7 @@ def initial_guess(
     since, until = time - time[0], time[-1] - time
     if first.v > 0.0:
         share = np.minimum(1.0, since / _GUESS_BLEND)
-        x = (1.0 - share) * first.v**2 + share * x
+        x = (1.0 - share) * (first.v * first.v) + share * x
     jerk = bounds.jerk
     launch = np.maximum(first.v + since * (first.a + 0.5 * jerk * since), 0.1 * first.v + 1e-4)
     stop = last.v + until * (-last.a + 0.5 * jerk * until)
@@ -429,62 +211,110 @@ def _filter(bounds: ReferenceBounds, profile: SpeedProfile) -> tuple[int, int]:
 
 
 class Prepared(NamedTuple):
-    """The reference program, with its first coefficients and the stencil of x''."""
+    """Profile and arcs of a reference, and, if there is room between the arcs, its grid and its program."""
 
-    program: Program
-    first: FloatArray  # Shape (M + 2,)
-    curve: FloatArray  # Shape (3, M)
+    profile: SpeedProfile
+    launch: Arc
+    stop: Arc
+    grid: Grid | None = None
+    program: Program | None = None
+    first: FloatArray | None = None  # first coefficients, Shape (M + 2,)
+    curve: FloatArray | None = None  # stencil of x'', Shape (3, M)
 
 
-_KERNEL = Kernel("optdock_reference_program", sizes=6, numbers=15)
+_KERNEL = Kernel("optdock_reference_program", sizes=4, numbers=16)
+_TUNING = readonly(np.array([SLOWEST, *TUNING, _GUESS_SAMPLE, _GUESS_SHARE, _GUESS_BLEND, 1.0 - _DRIVE_MARGIN]))
+_SAMPLE = (
+    0.06  # [s]: smallest period of samples and cells that the kernel assumes for the first estimate of their number
+)
 
 
-def _prepared_native(
-    bounds: ReferenceBounds, profile: SpeedProfile, grid: Grid, first: MotionState, last: MotionState
-) -> Prepared:
-    limits, drive, m = bounds.limits.turning, bounds.limits.drive, grid.steps.size
-    curved = sum(limit.order == 2 for limit in limits)
-    rows, curved_rows = 3 + 4 * (len(limits) - curved), 2 + 4 * curved
-    count, half = _filter(bounds, profile)
-    knots = (grid.bound, grid.curvature, *grid.rate, grid.time, *grid.turning)
-    cells = (grid.steps, grid.centre_curvature, *grid.centre_rate)
-    size, nodes, work = 3 * (rows + 2 * curved_rows) * m + 9, profile.time.size, 17 * m + 3 * count + 2 * half + 5
-    data, coefficients = np.empty(size), np.empty(4 * m + 2)
-    orders = [*(float(limit.order) for limit in limits), 0.0, 0.0][:2]
-    ends = (first.v, first.v**2, first.a, last.v, last.v**2, last.a)
-    share = 1.0 - _DRIVE_MARGIN
-    most = (share * drive.max_acceleration, share * drive.max_deceleration, bounds.jerk, _price(bounds))
-    done = _KERNEL(
-        (m, len(limits), curved, nodes, count + 1, half),
-        (*most, float(profile.time[-1]), _GUESS_SHARE, _GUESS_BLEND, *ends, *orders),
-        (
-            (np.concatenate(knots), (5 + len(limits)) * (m + 1)),
-            (np.concatenate(cells), 4 * m),
-            (np.concatenate(profile), 2 * nodes),
-            (data, size),
-            (coefficients, 4 * m + 2),
-            (np.empty(work), work),
+def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
+    limits, drive, jumps = bounds.limits, bounds.limits.drive, bounds.jumps.size
+    turning, n, cells = len(limits.turning), limits.s.size, limits.s.size - 1
+    zone = limits.zone_start if limits.has_zone else np.inf
+    profile, ends, rows = np.empty((2, n)), np.empty(9), 6 + turning
+    numbers = (
+        *(
+            drive.max_acceleration,
+            drive.max_deceleration,
+            drive.max_jerk,
+            bounds.jerk,
+            _price(bounds),
+            bounds.step,
+            zone,
         ),
+        *(limits.caps.steering, bounds.cap_squared[0], *limits.turning_numbers, *start),
     )
-    if done < 0:
-        raise ValueError("reference program: needs at least two cells and at most two turning limits")
-    return Prepared(
-        Program.packed(data, m, rows, curved_rows), coefficients[: m + 2], coefficients[m + 2 :].reshape(3, m)
+    given = (
+        (_TUNING, _TUNING.size),
+        (bounds.packed[0], 7 * n - 6),
+        (limits.curvature, n),
+        (bounds.speed_squared, cells),
+        (ceiling(bounds), cells),
+        (limits.steepest, cells),
+        (np.concatenate(bounds.turning) if turning else _TUNING[:0], cells * turning),
+        (limits.rate_left, cells),
+        (limits.rate_right, cells),
+        (limits.slowness_left, cells),
+        (limits.slowness_right, cells),
+        (bounds.jumps, jumps),
+        (profile, 2 * n),
+        (ends, 9),
     )
+    linear, curved = limits.turning_rows
+    room, parts = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE)), 3 * (linear + 2 * curved)
+    while True:
+        knots, inside, data = np.empty(rows * (room + 1)), np.empty(4 * room), np.empty(parts * room + 9)
+        first, work = np.empty(4 * room + 2), np.empty(size := 2 * n + 34 * room + 5 * jumps + 32)
+        new = (
+            (knots, rows * (room + 1)),
+            (inside, 4 * room),
+            (data, parts * room + 9),
+            (first, 4 * room + 2),
+            (work, size),
+            (np.empty(2 * jumps, dtype=np.int64), 2 * jumps),
+        )
+        m = _KERNEL((n, turning, jumps, room), numbers, (*given, *new))
+        if m >= -1:
+            break
+        room = -m
+    if m < 0:
+        raise ValueError("reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits")
+    launched, jerk, s, v, a, stopped, *last = ends.tolist()
+    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
+    found = Prepared(SpeedProfile(*profile), launch, Arc(((stopped, bounds.jerk),), MotionState(*last)))
+    if m == 0:
+        return found
+    row, cell = knots[: rows * (m + 1)].reshape(rows, m + 1), inside[: 4 * m].reshape(4, m)
+    at_zone = zone_knot(limits, row[0])
+    grid = Grid(row[0], cell[0], row[1], row[2], row[3:5], tuple(row[6:]), cell[1], cell[2:], at_zone, row[5])
+    program = Program(data[: parts * m + 9], m, linear, curved)
+    return Prepared(*found[:3], grid, program, first[: m + 2], first[m + 2 : 4 * m + 2].reshape(3, m))
 
 
 @twin_of(_prepared_native)
-def prepared(
+def prepared(bounds: ReferenceBounds, start: MotionState) -> Prepared:
+    """Return the reference program from a start state to rest, and its first coefficients."""
+    profile = forward_backward_pass(bounds, start)
+    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
+    if stop.state.s - launch.state.s < LEAST_REST * bounds.limits.length:
+        return Prepared(profile, launch, stop)
+    grid = grid_of(bounds, profile, launch.state, stop.state)
+    return Prepared(profile, launch, stop, grid, *program_on(bounds, profile, grid, launch.state, stop.state))
+
+
+def program_on(
     bounds: ReferenceBounds, profile: SpeedProfile, grid: Grid, first: MotionState, last: MotionState
-) -> Prepared:
-    """Return the reference program on a grid from `first` to `last`, and its first coefficients."""
+) -> tuple[Program, FloatArray, FloatArray]:
+    """Return the reference program on a grid from `first` to `last`, its first coefficients, and the stencil of x''."""
     guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
     # A swing from -J to J is a step of x'' by 4 J / v.
     bands = jerk_step_bands(spline, np.sqrt(0.5 * _price(bounds) * guess[1:-1]) / (4.0 * bounds.jerk))
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
     with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
-    program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
-    return Prepared(program, coefficients_of(grid.steps, guess, first, last), spline.curve)
+    program = Program.of(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
+    return program, coefficients_of(grid.steps, guess, first, last), spline.curve
 
 
 def _price(bounds: ReferenceBounds) -> float:
@@ -498,16 +328,11 @@ class ReferenceStates(NamedTuple):
     v: FloatArray  # Shape (M + 1,) [m/s]
     a: FloatArray  # Shape (M + 1,) [m/s^2]
     curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
+    durations: FloatArray  # of the cells, in which the acceleration is linear in s, Shape (M,) [s]
     grid: Grid  # the knots
     launch: Arc  # arc before the spline, possibly without phases
     stop: Arc  # arc after the spline
     iterations: int  # iterations of the interior point method
-
-    @property
-    def durations(self) -> FloatArray:
-        """Durations of the cells, in which the acceleration is linear in s, Shape (M,) [s]."""
-        durations: FloatArray = 2.0 * (self.s[1:] - self.s[:-1]) / (self.v[:-1] + self.v[1:])
-        return durations
 
 
 def solve_reference(
@@ -522,24 +347,25 @@ def solve_reference(
     """
     deadline.look()
     limits = bounds.limits
-    profile = forward_backward_pass(bounds, start)
-    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
-    first, last = launch.state, stop.state
-    if last.s - first.s < _LEAST_REST * limits.length:
+    profile, launch, stop, grid, program, c, curve = prepared(bounds, start)
+    if grid is None or program is None or c is None or curve is None:
         return None
-    grid = grid_of(bounds, profile, first, last)
-    program, c, curve = prepared(bounds, profile, grid, first, last)
+    first, last = launch.state, stop.state
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
         c, iterations = solve(program, c, deadline.look)
-    x = (1.0 - program.right_share) * c[:-1] + program.right_share * c[1:]
     padded = np.concatenate((grid.steps[:1], grid.steps, grid.steps[-1:]))
-    slope = 1.0 / (padded[:-1] + padded[1:])
-    v, a = np.sqrt(np.maximum(x, 1e-12)), slope * c[1:] - slope * c[:-1]
+    before = padded[:-1]
+    both = before + padded[1:]
+    share, slope = before / both, 1.0 / both
+    x, a = (1.0 - share) * c[:-1] + share * c[1:], slope * c[1:] - slope * c[:-1]
+    v = np.sqrt(np.maximum(x, 1e-12))
     a = np.minimum(np.maximum(a, -limits.drive.max_deceleration), limits.drive.max_acceleration)
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
-    found = ReferenceStates(grid.knots, v, a, applied(curve, c), grid, launch, stop, iterations)
+    durations = 2.0 * grid.steps / (v[:-1] + v[1:])
     longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
-    return found if float(found.durations.sum()) <= longest else None
+    if not float(durations.sum()) <= longest:
+        return None
+    return ReferenceStates(grid.knots, v, a, applied(curve, c), durations, grid, launch, stop, iterations)
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:

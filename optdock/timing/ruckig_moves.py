@@ -197,15 +197,17 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
     """Return the nodes of a reference between the start and the end of the segment."""
     s, v, a, zone = reference.s, reference.v, reference.a, reference.grid.zone
     jerk = 0.5 * np.abs(reference.curve) * np.maximum(v[:-1], v[1:])
-    launch, stop = duration_of(reference.launch.phases), duration_of(reference.stop.phases)
-    head = [launch] if launch > 0.0 else []
-    s_all, v_all, a_all = [
-        [*[first] * len(head), *column.tolist(), last]
-        for first, column, last in zip(start, (s, v, a), end, strict=True)
-    ]
-    times = list(itertools.accumulate([*head, *reference.durations.tolist(), stop], initial=0.0))
-    jerks = [*[np.inf] * len(head), *jerk.tolist(), np.inf]
-    return _Nodes(s_all, v_all, a_all, times, jerks, zone + len(head) if zone else 0)
+    durations, columns, jerks = reference.durations.tolist(), [s.tolist(), v.tolist(), a.tolist()], jerk.tolist()
+    for column, last in zip(columns, end, strict=True):
+        column.append(last)
+    durations.append(duration_of(reference.stop.phases))
+    jerks.append(np.inf)
+    launch = duration_of(reference.launch.phases)
+    if launch > 0.0:
+        columns = [[first, *column] for first, column in zip(start, columns, strict=True)]
+        durations, jerks, zone = [launch, *durations], [np.inf, *jerks], zone + 1 if zone else 0
+    all_s, all_v, all_a = columns
+    return _Nodes(all_s, all_v, all_a, list(itertools.accumulate(durations, initial=0.0)), jerks, zone)
 
 
 def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int]]:
@@ -214,15 +216,15 @@ def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int
     halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
     pieces: list[tuple[int, int]] = []
     for i, j in halves:
-        cells = slice(*np.searchsorted(bounds.limits.s, (nodes.s[i] + 1e-9, nodes.s[j] - 1e-9)))
-        cap = bounds.speed_squared[cells]
-        level = cap.size == 0 or float(cap.min()) > _LEVEL * float(cap.max())
+        first, end = bounds.limits.s.searchsorted((nodes.s[i] + 1e-9, nodes.s[j] - 1e-9)).tolist()
+        cap = bounds.speed_squared[first:end]
+        level = first >= end or np.minimum.reduce(cap) > _LEVEL * np.maximum.reduce(cap)
         pieces.extend([(i, j)] if level else _equal_parts(i, j, -(-(j - i) // _MIDDLE)))
     return pieces
 
 
 def _equal_parts(i: int, j: int, count: int) -> list[tuple[int, int]]:
-    return list(itertools.pairwise(i + (j - i) * n // count for n in range(count + 1)))
+    return [(i + (j - i) * n // count, i + (j - i) * (n + 1) // count) for n in range(count)]
 
 
 def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tuple[int, int]]:
@@ -324,14 +326,15 @@ _KERNEL = Kernel("optdock_move_excess", sizes=6, numbers=5)
 
 def _evaluate_native(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
     n, turning, (along, jumps) = len(moves), bounds.limits.turning, bounds.packed
-    phases = np.array([phase for _start, own in moves for phase in own])
-    total, nodes, found = len(phases), bounds.limits.s.size, np.empty((n, 2))
-    room = total + int(phases[:, 0].sum() / _SAMPLE) + 1
+    rows = [phase for _start, own in moves for phase in own]
+    phases, counts = np.array(rows), [len(own) for _start, own in moves]
+    total, nodes, found = len(rows), bounds.limits.s.size, np.empty((n, 2))
+    room = total + int(sum([row[0] for row in rows]) / _SAMPLE) + 1
     done = _KERNEL(
         (n, total, nodes, bounds.jumps.size, len(turning), room),
         (_SAMPLE, _CRAWL, bounds.relief, 1.0 / (1.0 - CHECK_MARGIN), turning[0].bound if turning else 0.0),
         (
-            (np.array([len(own) for _start, own in moves]), n),
+            (np.array(counts), n),
             (np.array([start for start, _own in moves]), 3 * n),
             (phases, 2 * total),
             (along, 7 * nodes - 6),

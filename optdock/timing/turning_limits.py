@@ -104,8 +104,8 @@ class TurningLimit(NamedTuple):
 
 def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
     """Return the finite turning limits."""
-    found = ((name, order, float(getattr(drive, name))) for name, order in _ORDERS.items())
-    return tuple(TurningLimit(*limit) for limit in found if math.isfinite(limit[2]))
+    found = [(name, order, float(getattr(drive, name))) for name, order in _ORDERS.items()]
+    return tuple([TurningLimit(*limit) for limit in found if math.isfinite(limit[2])])
 
 
 def turning_ratio(

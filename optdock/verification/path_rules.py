@@ -176,9 +176,11 @@ def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
     not of the path. A step of length h on a smooth curve moves laterally by h^2 / 12 times its change of curvature;
     this effect of sampling is subtracted.
     """
-    sideways = [np.zeros((1, 3))]
+    polylines, sideways = list(_polylines(path)), [np.zeros((1, 3))]
+    if not polylines:
+        return
     driven, places = [np.zeros(1)], [np.zeros(1)]
-    for segment, steps in _polylines(path):
+    for segment, steps in polylines:
         moving = steps.moving()
         found = moving.chord * np.sin(moving.slip) + moving.arc**2 / 12.0 * _curvature_changes(moving)
         heading = moving.motion - moving.slip
@@ -189,7 +191,7 @@ def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
     total = np.cumsum(np.concatenate(sideways), axis=0)
     spared = np.hstack((total, -total)) - DRIFT_PER_METRE * np.cumsum(np.concatenate(driven))[:, None]
     drift = np.max(spared - np.minimum.accumulate(spared, axis=0), axis=1)
-    longest = max((float(np.max(steps.arc)) for _, steps in _polylines(path)), default=0.0)
+    longest = max(float(np.max(steps.arc)) for _, steps in polylines)
     one_step = SLIP_TOLERANCE * min(longest, LONGEST_STEP)  # slip of a step across a kink of the curvature
     allowed = DRIFT_TOLERANCE + one_step
     k = int(np.argmax(drift))

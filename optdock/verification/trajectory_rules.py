@@ -344,11 +344,10 @@ def _rates(law: TimeLaw, driven: _Phases, limits: MotionLimits) -> Iterator[_Pea
         ("deceleration", -driven.a, limits.max_deceleration, driven.borders),
         ("jerk", np.abs(driven.jerks), limits.max_jerk, driven.inside),
     ):
-        if value.size == 0:
-            continue
-        i = int(np.argmax(value))
-        k = rows[i]
-        yield _Peak(kind, limit, float(value[i]), float(law.times[k]), float(law.states[k, 0]))
+        if value.size:
+            i = value.argmax()
+            k = rows[i]
+            yield _Peak(kind, limit, value.item(i), law.times.item(k), law.states.item(k, 0))
 
 
 _EXTREMES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}  # exact: `_rates`

@@ -108,7 +108,7 @@ def _programs(case: Case) -> Verdict:
     found = []
     for lane in LANES:
         with using_kernels(lane), np.errstate(all="ignore"):
-            iterate = Iterate.of(program, c)
+            iterate = Iterate.of(c)
             found.append([iterate := advanced(program, iterate, most) for most in (1, 7, 40)])
     same = all(is_equal(*pair) for pair in zip(*found, strict=True))
     return Verdict("equal programs") if same else Verdict("kernel differs", f"program: {case['program']}")
@@ -127,12 +127,12 @@ def drawn_program(rng: np.random.Generator, degenerate: str) -> tuple[Program, F
     curved = [curve, -curve, *(value * rng.normal(size=count) for _ in range(with_places))]
     places = np.stack([value] * with_places, axis=1) if with_places else np.zeros((3, 0, count))
     bands = jerk_step_bands(spline, rng.exponential(1e-3, count - 1))
-    program = Program(steps, np.stack(rows, axis=1), np.stack(curved, axis=1), places, spline.right_share, bands)
+    program = Program.of(steps, np.stack(rows, axis=1), np.stack(curved, axis=1), places, spline.right_share, bands)
     c = np.full(count + 2, float(rng.uniform(0.1, 0.5)) * most.min())
     if degenerate == "infeasible":
         c[:2] = 5.0 * most[:2]  # given, and above their bounds
     if degenerate in ("nan", "inf"):
-        spoiled = (*program, c)[int(rng.integers(7))]
+        spoiled = (*program.parts, c)[int(rng.integers(7))]
         if spoiled.size:
             spoiled.flat[int(rng.integers(spoiled.size))] = (
                 np.nan if degenerate == "nan" else rng.choice([-1, 1]) * np.inf

@@ -36,7 +36,7 @@ def capped(cells, most, places=0):
     rows = (spline.right_value / most)[:, None]
     with_speed = np.zeros((3, 2 + places, cells))
     stencil = np.repeat(spline.right_value[:, None], places, axis=1)
-    program = Program(np.full(cells, 0.1), rows, with_speed, stencil, spline.right_share, np.zeros((4, cells + 2)))
+    program = Program.of(np.full(cells, 0.1), rows, with_speed, stencil, spline.right_share, np.zeros((4, cells + 2)))
     return program, np.full(cells + 2, 0.5 * most)
 
 
@@ -88,7 +88,7 @@ def test_a_matrix_that_is_not_positive_definite_has_the_solution_zero():
 
 def test_the_result_does_not_depend_on_the_iterations_at_once():
     program, c = drawn_program(np.random.default_rng(5), "none")
-    whole, parts = advanced(program, Iterate.of(program, c), 40), Iterate.of(program, c)
+    whole, parts = advanced(program, Iterate.of(c), 40), Iterate.of(c)
     while not parts.ended:
         parts = advanced(program, parts, 2)
     assert is_equal(whole, parts)
@@ -105,7 +105,7 @@ def test_iterates_of_both_lanes_are_equal_to_the_last_bit(degenerate, seed):
     found = {}
     for lane in LANES:
         with using_kernels(lane), np.errstate(all="ignore"):
-            iterate = Iterate.of(program, c)
+            iterate = Iterate.of(c)
             found[lane] = [iterate := advanced(program, iterate, most) for most in (1, 2, 40)]
     for twin, native in zip(*found.values(), strict=True):
         assert is_equal(twin, native)
@@ -118,7 +118,7 @@ def test_degenerate_programs_do_not_converge_and_others_do():
         for seed in range(12):
             program, c = drawn_program(np.random.default_rng(seed), degenerate)
             with np.errstate(all="ignore"):
-                iterations.append(advanced(program, Iterate.of(program, c), 40).iteration)
+                iterations.append(advanced(program, Iterate.of(c), 40).iteration)
         ended[degenerate] = np.array(iterations)
     assert np.median(ended["none"]) < 30
     assert np.sum(ended["infeasible"] == 40) > 6
@@ -129,7 +129,7 @@ def test_degenerate_programs_do_not_converge_and_others_do():
 def test_nan_stays_in_the_iterate():
     program, c = capped(8, 0.3, places=1)
     c[4] = np.nan
-    found = _advanced_native(program, Iterate.of(program, c), 40)
+    found = _advanced_native(program, Iterate.of(c), 40)
     assert (found.iteration, found.ended) == (1, True)
     assert np.isnan(found.c[4])
     assert np.isnan(found.mu)
@@ -139,17 +139,17 @@ def test_nan_stays_in_the_iterate():
 @pytest.mark.parametrize("part", range(6))
 def test_arrays_of_wrong_sizes_are_errors(part):
     program, c = capped(8, 0.3, places=1)
-    parts = list(program)
+    parts = list(program.parts)
     parts[part] = parts[part][..., :-1]
     with pytest.raises(ValueError, match="contiguous with"):
-        _advanced_native(Program(*parts), Iterate.of(program, c), 1)
+        _advanced_native(Program.of(*parts), Iterate.of(c), 1)
 
 
 @needs_compiler
 def test_a_program_with_too_few_cells_is_an_error():
     program, c = capped(3, 0.3)
     with pytest.raises(ValueError, match="at least 4 cells"):
-        _advanced_native(program, Iterate.of(program, c), 1)
+        _advanced_native(program, Iterate.of(c), 1)
 
 
 @needs_compiler
@@ -158,11 +158,13 @@ def test_coefficients_of_a_segment_without_length_end_both_lanes_alike():
     with np.errstate(all="ignore"):
         spline = spline_of(steps)
         rows = spline.right_value[:, None]
-        program = Program(steps, rows, np.zeros((3, 2, 8)), np.zeros((3, 0, 8)), spline.right_share, np.zeros((4, 10)))
+        program = Program.of(
+            steps, rows, np.zeros((3, 2, 8)), np.zeros((3, 0, 8)), spline.right_share, np.zeros((4, 10))
+        )
         c = coefficients_of(steps, np.zeros(9), MotionState(), MotionState())
         found = []
         for lane in LANES:
             with using_kernels(lane):
-                found.append(advanced(program, Iterate.of(program, c), 40))
+                found.append(advanced(program, Iterate.of(c), 40))
     assert is_equal(*found)
     assert found[0].ended
