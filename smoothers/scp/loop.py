@@ -231,12 +231,8 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
         cost += terms.cost
     error, shortfall = nlp.ends.error(rollout), float(np.maximum.reduce(zones))
-    reached, short, missed = (
-        _reached(settings, error, shortfall),
-        float(in_order(zones)),
-        float(in_order(np.abs(error))),
-    )
-    return Iterate(variables, rollout, cost, found, zones, error, *reached, shortfall, short, missed, view, terms)
+    reached, sums = _reached(settings, error, shortfall), (float(in_order(zones)), float(in_order(np.abs(error))))
+    return Iterate(variables, rollout, cost, found, zones, error, *reached, shortfall, *sums, view, terms)
 
 
 def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:

@@ -41,7 +41,7 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
             basis.divisions.ravel(),
             basis.left,
             trusted,
-            small_obstacles(scene),
+            small_obstacles(scene).astype(np.int64),
             np.array([len(centres) for centres, _ in discs], dtype=np.int64),
         )
     )

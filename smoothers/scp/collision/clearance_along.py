@@ -49,7 +49,7 @@ def clearance_along(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatAr
 
 def evaluates_all_edges(scene: Scene) -> bool:
     """Whether all edges of the body are candidates, as in the kernel; of many edges, NumPy selects some."""
-    return scene.body.vertices.shape[1] <= scene.settings.facing_edges
+    return len(scene.body.vertices[0]) <= scene.settings.facing_edges
 
 
 def _by_numpy(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
