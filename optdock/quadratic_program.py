@@ -22,13 +22,22 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["EXACT", "UNBOUNDED", "DenseProgram", "Minimizer", "QuadraticProgram", "minimizer"]
+__all__ = [
+    "AT_BOUND",
+    "EXACT",
+    "MOST_ROUNDS",
+    "UNBOUNDED",
+    "DenseProgram",
+    "Minimizer",
+    "QuadraticProgram",
+    "minimizer",
+]
 
 UNBOUNDED = 1e30  # DAQP's value for infinity
 EXACT = 1e-12  # primal tolerance that finds all active constraints; relative to the Hessian
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
-_AT_BOUND = 1e-9  # distance of active constraints from their bounds
-_MOST_ROUNDS = 1000
+AT_BOUND = 1e-9  # distance of active constraints from their bounds
+MOST_ROUNDS = 1000
 _KERNEL = Kernel("optdock_minimizer", sizes=5, numbers=3)
 
 
@@ -159,7 +168,7 @@ def _by_kernel(program: QuadraticProgram) -> Minimizer | None:
         (found, ints),
         (values, doubles),
     )
-    count = _KERNEL((n, m, program.leading, guess.size, _MOST_ROUNDS), (UNBOUNDED, EXACT, _AT_BOUND), arrays)
+    count = _KERNEL((n, m, program.leading, guess.size, MOST_ROUNDS), (UNBOUNDED, EXACT, AT_BOUND), arrays)
     solution = values[:n].copy()
     return Minimizer(solution, found[:count].copy()) if count >= 0 and np.isfinite(solution).all() else None
 
@@ -177,7 +186,7 @@ def minimizer(program: QuadraticProgram) -> Minimizer | None:
     if not bool(np.isfinite(solution).all()):
         return None
     values = np.concatenate((solution, np.einsum("ij,j->i", program.a, solution)))
-    at_lower, at_upper = values - lower < _AT_BOUND, upper - values < _AT_BOUND
+    at_lower, at_upper = values - lower < AT_BOUND, upper - values < AT_BOUND
     attained = np.flatnonzero(at_lower | at_upper)
     return Minimizer(solution, np.where(at_lower[attained], attained + 1, -(attained + 1)))
 

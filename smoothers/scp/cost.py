@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import product_of_columns
+from smoothers.scp.rollout import in_order, squared
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -97,8 +98,11 @@ class CostModel:
         return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
 
     @cached_property
-    def _hessians(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Hessians by the knot curvatures: of bends per length, of jerks times length, and of turns at cusps."""
+    def hessians(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Hessians by the knot curvatures: of bends per length, of jerks times length, and of turns at cusps.
+
+        Shape (num_knots, num_knots) each; elements that are not next to the diagonal are 0.
+        """
         bend, jerk = self.factors
         return 2.0 * bend * self.basis.mass, 2.0 * jerk * self._stiffness, 2.0 * (self._turned.T @ self._turned)
 
@@ -106,33 +110,37 @@ class CostModel:
         away = rollout.poses[:, :2] - self.reference.positions
         return away[:, 0] * self.reference.normals[:, 0] + away[:, 1] * self.reference.normals[:, 1]
 
+    # Sums are evaluated in the order of their indices, as in the kernel `loop_kernel.c`.
+
     def value(self, variables: Variables, rollout: Rollout) -> float:
         """Return the cost J of given variables."""
         curvature, lengths = variables
-        bend, jerk, turning = self._hessians
+        by_bend, by_jerk, by_turning = (in_order(one * curvature, 1) for one in self.hessians)
         per_knot = lengths[self.basis.knot_gear]
-        by_curvature = per_knot * (bend @ curvature) + (jerk @ curvature) / per_knot + turning @ curvature
-        lateral, total = self._lateral(rollout), float(np.add.reduce(lengths))
-        tracking = self.weights.tracking * total / self.basis.num_intervals * float(lateral @ lateral)
-        return self.weights.length * total + 0.5 * float(curvature @ by_curvature) + tracking
+        by_curvature = per_knot * by_bend + by_jerk / per_knot + by_turning
+        lateral, total = self._lateral(rollout), float(in_order(lengths))
+        tracking = self.weights.tracking * total / self.basis.num_intervals * float(in_order(lateral * lateral))
+        return self.weights.length * total + 0.5 * float(in_order(curvature * by_curvature)) + tracking
 
     def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
         """Return the exact gradient, and a Hessian that is exact in the curvatures and Gauss-Newton for tracking."""
         basis, (curvature, lengths) = self.basis, variables
-        bend, jerk, turning = self._hessians
+        bend, jerk, turning = self.hessians
+        by_bend, by_jerk, by_turning = (in_order(one * curvature, 1) for one in self.hessians)
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
         share, lateral = self.weights.tracking / basis.num_intervals, self._lateral(rollout)
         normals = self.reference.normals
-        scale = 2.0 * share * float(np.add.reduce(lengths))
+        scale = 2.0 * share * float(in_order(lengths))
         moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
-        gradient, hessian = (scale * lateral) @ moved, scale * product_of_columns(moved, moved)
-        by_bend, by_jerk = bend @ curvature, jerk @ curvature
-        gradient[:knots] += per_knot * by_bend + by_jerk / per_knot + turning @ curvature
+        gradient, hessian = in_order((scale * lateral)[:, None] * moved), scale * squared(moved)
+        gradient[:knots] += per_knot * by_bend + by_jerk / per_knot + by_turning
         hessian[:knots, :knots] += per_knot * bend + jerk / per_knot + turning
-        bends = 0.5 * (curvature * by_bend) @ basis.knot_members
-        jerks = 0.5 * (curvature * by_jerk) @ basis.knot_members
-        gradient[knots:] += self.weights.length + bends - jerks / lengths**2 + share * float(lateral @ lateral)
-        hessian.ravel()[knots * (basis.size + 1) :: basis.size + 1] += 2.0 * jerks / lengths**3
+        bends = in_order((0.5 * (curvature * by_bend))[:, None] * basis.knot_members)
+        jerks = in_order((0.5 * (curvature * by_jerk))[:, None] * basis.knot_members)
+        tracked = share * float(in_order(lateral * lateral))
+        gradient[knots:] += self.weights.length + bends - jerks / lengths**2 + tracked
+        cubed = lengths * lengths * lengths
+        hessian.ravel()[knots * (basis.size + 1) :: basis.size + 1] += 2.0 * jerks / cubed
         return Quadratic(gradient, hessian)
 
     def of_clothoids(self, path: Path, final_straight: float) -> float:

@@ -16,12 +16,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import product_of_columns, readonly
-from smoothers.scp.collision.clearance_along import clearance_along
+from optdock.geometry.arrays import readonly
+from optdock.kernels import Kernel, twin_of
+from smoothers.scp.collision.clearance_along import Room, clearance_along, evaluates_all_edges
+from smoothers.scp.collision.collision_scene import RULE_NUMBERS
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
+from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import project_and_roll_out
-from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
-from smoothers.scp.rollout import Variables, sensitivity
+from smoothers.scp.qp_step import (
+    Penalties,
+    QpStep,
+    Subproblem,
+    pool_of_this_thread,
+    solve_step,
+    trusted_nodes,
+    zone_of,
+)
+from smoothers.scp.rollout import Rollout, Variables, in_order, sensitivity, squared
 from smoothers.scp.term_rows import linearized_terms, terms_along
 from smoothers.scp.visibility_constraint import linearized_view, view_along
 
@@ -33,12 +44,14 @@ if TYPE_CHECKING:
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import LoopSettings, StepSettings
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
-__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"]
+__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized", "search"]
+
+_EVALUATE = Kernel("optdock_evaluate", sizes=1, numbers=0)
+_LINEARIZE = Kernel("optdock_linearize", sizes=1, numbers=1)
 
 
 class SearchGuess(NamedTuple):
@@ -113,7 +126,7 @@ def search(
     for iteration in range(1, max_iterations + 1):
         if around is None:
             state.found = state.found or current.feasible
-            around = _linearized(nlp, current, state)
+            around = linearized(nlp, current, nlp.settings.step.buffer + state.overshoot(current))
             if is_late():
                 return
         step = solve_step(nlp, around, pool, state.trust_region, state.proximal, state.penalties)
@@ -135,6 +148,45 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
 
     The change is measured from the iterate `before` and is 0 if that is None.
     """
+    return (_evaluated if _is_compiled(nlp) else _evaluated_by_numpy)(nlp, variables, before)
+
+
+def _is_compiled(nlp: NonlinearProgram) -> bool:
+    """Whether the kernel covers all constraints of a program."""
+    return nlp.view is None and nlp.terms is None and evaluates_all_edges(nlp.scene)
+
+
+def _evaluate_natively(nlp: NonlinearProgram, variables: Variables, before: Iterate | None) -> tuple[Iterate, float]:
+    (counts, numbers), basis, scene, zones = nlp.packed, nlp.basis, nlp.scene, nlp.settings.step.zones
+    nodes, size, room = basis.num_nodes, basis.size, Room.of(scene, basis)
+    along = 4 * nodes + 6 * basis.num_intervals
+    given = variables if before is None else (*variables, before.rollout.packed[: 3 * nodes], before.variables.lengths)
+    start = size + along
+    pairs = np.empty(nodes + 3 * room.pairs, dtype=np.int64)
+    out = np.empty(start + zones + 8 + 4 * nodes + room.width * room.pairs)
+    work, indices = pool_of_this_thread().work(max(room.work, 12 * size + basis.num_gears + 6 + along), room.indices)
+    arrays = (
+        (counts, counts.size),
+        (numbers, numbers.size),
+        (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
+        (scene.packed, room.scene),
+        (np.concatenate(given), size if before is None else size + 3 * nodes + basis.num_gears),
+        (pairs, pairs.size),
+        (out, out.size),
+        (work, work.size),
+        (indices, indices.size),
+    )
+    p = _EVALUATE((before is not None,), (), arrays)
+    found = room.clearance(pairs, out[start + zones + 8 :], p)
+    cost, shortfall, short, missed, moved = out[start + zones + 3 : start + zones + 8].tolist()
+    error, rollout = out[start : start + 3], Rollout.within(out[size:start], basis)
+    projected = Variables(out[: basis.num_knots], out[basis.num_knots : size])
+    reached = _reached(nlp.settings.loop, error, shortfall)
+    zone = out[start + 3 : start + 3 + zones]
+    return Iterate(projected, rollout, cost, found, zone, error, *reached, shortfall, short, missed), moved
+
+
+def _evaluated_by_numpy(nlp: NonlinearProgram, variables: Variables, before: Iterate | None) -> tuple[Iterate, float]:
     settings = nlp.settings.loop
     variables, rollout = project_and_roll_out(nlp, variables)
     moved, reach = 0.0, settings.reach
@@ -144,6 +196,16 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
         moved = max(float(turned), float(stretched))
         reach = min(settings.most_reach, settings.reach_per_motion * moved + settings.least_reach)
     return judged(nlp, variables, rollout, reach), moved
+
+
+_evaluated = twin_of(_evaluate_natively)(_evaluated_by_numpy)
+
+
+def _reached(settings: LoopSettings, error: FloatArray, shortfall: float) -> tuple[bool, bool]:
+    """Return whether a path with this error and shortfall ends at the target, and whether it is feasible."""
+    x, y, yaw = error.tolist()
+    on_goal = max(abs(x), abs(y), abs(yaw)) <= settings.goal_tolerance
+    return on_goal, on_goal and shortfall <= settings.clearance_tolerance
 
 
 def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
@@ -169,23 +231,66 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
         cost += terms.cost
     error, shortfall = nlp.ends.error(rollout), float(np.maximum.reduce(zones))
-    x, y, yaw = np.abs(error).tolist()
-    on_goal = x <= settings.goal_tolerance and y <= settings.goal_tolerance and yaw <= settings.goal_tolerance
-    feasible = on_goal and shortfall <= settings.clearance_tolerance
-    missing, missed = float(np.add.reduce(zones)), x + y + yaw
-    return Iterate(
-        variables, rollout, cost, found, zones, error, on_goal, feasible, shortfall, missing, missed, view, terms
+    reached, sums = _reached(settings, error, shortfall), (float(in_order(zones)), float(in_order(np.abs(error))))
+    return Iterate(variables, rollout, cost, found, zones, error, *reached, shortfall, *sums, view, terms)
+
+
+def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
+    """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
+    return (_linearized if _is_compiled(nlp) else _linearized_by_numpy)(nlp, current, buffer)
+
+
+def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
+    (counts, numbers), basis, scene, size = nlp.packed, nlp.basis, nlp.scene, nlp.basis.size
+    found, step, nodes = current.clearance, nlp.settings.step, basis.num_nodes
+    shape, (parts, v, _), (obstacles, k, _) = (
+        found.table.shape,
+        scene.body.vertices.shape,
+        scene.obstacles.vertices.shape,
     )
+    p, most = shape[1], step.clearance_rows[-1]
+    room, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
+    start = size * (2 * size + 1)
+    headings = start + 3 * size
+    gap = headings + _trusted(basis, step).size * size
+    node, out = np.empty(most, dtype=np.int64), np.empty(gap + most * (size + 1))
+    work, indices = pool_of_this_thread().work(
+        size * (3 * nodes + 4 * size + 5) + room * (size + 2) + 3 * discs + 9 * p + 4 * (2 * v + k),
+        15 * p + (parts + nodes) * obstacles + 2 * room,
+    )
+    arrays = (
+        (counts, counts.size),
+        (numbers, numbers.size),
+        (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
+        (scene.packed, parts * (5 * v + 4) + obstacles * (4 * k + 4) + RULE_NUMBERS),
+        (np.concatenate(current.variables), size),
+        (current.rollout.packed, 4 * nodes + 6 * basis.num_intervals),
+        (found.required.value, nodes),
+        (found.required.gradient, 2 * nodes),
+        (found.pairs.interval, p),
+        (found.pairs.part, p),
+        (found.pairs.obstacle, p),
+        (found.table, (6 * v + 2 * k + 4) * p),
+        (node, most),
+        (out, out.size),
+        (indices, indices.size),
+        (work, work.size),
+    )
+    count = _LINEARIZE((p,), (buffer,), arrays)
+    quadratic = Quadratic(out[:size], out[size : size + size * size].reshape(size, size))
+    motion = out[size + size * size : start].reshape(size, size)
+    goal = out[start:headings].reshape(3, size), current.end_error
+    rows = out[gap + most : gap + most + count * size].reshape(count, size)
+    bounded = ClearanceRows(rows, out[gap : gap + count], node[:count])
+    return Subproblem(current.variables, quadratic, motion, goal, out[headings:gap].reshape(-1, size), bounded)
 
 
-def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subproblem:
-    """Return the linearization at an iterate, with a buffer added to the required clearance."""
+def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
-    buffer = settings.buffer + state.overshoot(current)
     by = sensitivity(basis, current.variables, rollout)
     goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), current.end_error
-    share = float(np.add.reduce(current.variables.lengths)) / basis.num_intervals
-    along_x, along_y, turned = (product_of_columns(part, part) for part in (by.x, by.y, by.yaw))
+    share = float(in_order(current.variables.lengths)) / basis.num_intervals
+    along_x, along_y, turned = (squared(part) for part in by)
     motion = share * (along_x + along_y + settings.yaw_motion * turned)
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
@@ -206,6 +311,9 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
     rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
     return Subproblem(current.variables, quadratic, motion, goal, by.yaw[_trusted(basis, settings)], rows)
+
+
+_linearized = twin_of(_linearize_natively)(_linearized_by_numpy)
 
 
 @lru_cache(maxsize=16)  # as many as bases

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, InputNodes
+from smoothers.scp.packed_program import packed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from smoothers.scp.basis import Basis, Shape
     from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.cost import Weights
+    from smoothers.scp.packed_program import PackedProgram
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import BoundSettings, ResolutionSettings, Settings
     from smoothers.scp.term_rows import TermBound
@@ -95,6 +98,11 @@ class NonlinearProgram:
     settings: Settings
     view: ViewBound | None = None  # required view along the path, or None
     terms: TermBound | None = None  # costs and constraints of the user, or None
+
+    @cached_property
+    def packed(self) -> PackedProgram:
+        """Constants of the program for kernels."""
+        return packed(self)
 
 
 class Formulation(NamedTuple):

@@ -14,6 +14,7 @@ step.
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 import time
 from collections import OrderedDict
@@ -23,9 +24,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.kernels import kernels_lane
-from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
+from optdock.kernels import Kernel, kernels_lane, twin_of
+from optdock.quadratic_program import (
+    AT_BOUND,
+    EXACT,
+    MOST_ROUNDS,
+    UNBOUNDED,
+    DenseProgram,
+    QuadraticProgram,
+    minimizer,
+)
 from smoothers.scp.basis import basis_for
+from smoothers.scp.rollout import in_order
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -53,6 +63,7 @@ __all__ = [
 
 # With its workspace, a program takes up to 0.35 MB and is built in 0.2 to 0.5 ms.
 _MOST_PROGRAMS = 16
+_KERNEL = Kernel("optdock_step", sizes=4, numbers=8)
 
 
 class Penalties(NamedTuple):
@@ -128,6 +139,46 @@ class Subproblem(NamedTuple):
     rows: ClearanceRows  # clearance
 
 
+def _solve_natively(
+    nlp: NonlinearProgram,
+    around: Subproblem,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> QpStep | None:
+    (counts, numbers), basis, step, count = nlp.packed, nlp.basis, nlp.settings.step, around.rows.gap.size
+    size, spans, trusted = basis.size, basis.span_gear.size, len(around.headings)
+    n, fixed = size + 6 + step.zones, 3 + trusted + (2 * spans if math.isfinite(nlp.inner_bounds.rate) else 0)
+    m, (guess, last) = fixed + count, _guess(pool.latest, nlp, around, n, fixed)
+    ints, solved = 5 * n + 6 * m + 1, (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n
+    work, indices = pool.work(solved + 1 + n * n + n + m * n + 2 * (n + m), ints + guess.size)
+    arrays = (
+        (counts, counts.size),
+        (numbers, numbers.size),
+        (np.concatenate(around.variables), size),
+        (around.quadratic.gradient, size),
+        (around.quadratic.hessian, size * size),
+        (around.motion, size * size),
+        (around.goal[0], 3 * size),
+        (around.goal[1], 3),
+        (around.headings, trusted * size),
+        (around.rows.gradient, count * size),
+        (around.rows.gap, count),
+        (around.rows.node, count),
+        (guess, guess.size),
+        (indices, indices.size),
+        (work, work.size),
+    )
+    bounds = trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
+    found = _KERNEL((count, guess.size, last, MOST_ROUNDS), bounds, arrays)
+    if found < 0:
+        return _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
+    pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, indices[:found].copy())
+    return QpStep(work[:size].copy(), float(work[solved]))
+
+
+@twin_of(_solve_natively)
 def solve_step(
     nlp: NonlinearProgram,
     around: Subproblem,
@@ -150,17 +201,23 @@ def solve_step(
     program = step_program(nlp, around, pool, trust_region, proximal, penalties)
     found = minimizer(program)
     if found is None:
-        dense = program.dense()
-        dense.fill(program)
-        solution = dense.solve_slowly()
-    else:
-        solution = found.solution
-        pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, found.active)
-    if solution is None:
-        return None
-    change, model = solution[: nlp.basis.size], around.quadratic
-    gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
-    return QpStep(change, gain)
+        return _solve_slowly(program, around)
+    pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, found.active)
+    return _step_of(found.solution, around)
+
+
+def _solve_slowly(program: QuadraticProgram, around: Subproblem) -> QpStep | None:
+    dense = program.dense()
+    dense.fill(program)
+    solution = dense.solve_slowly()
+    return None if solution is None else _step_of(solution, around)
+
+
+def _step_of(solution: FloatArray, around: Subproblem) -> QpStep:
+    model = around.quadratic
+    change = solution[: model.gradient.size]
+    bent = in_order(change * in_order(model.hessian * change, 1))
+    return QpStep(change, -float(in_order(model.gradient * change) + 0.5 * bent))
 
 
 def step_program(
@@ -182,7 +239,8 @@ def step_program(
 
     (n, m), (h, a) = blocks.size, _constant_elements(basis, nlp.inner_bounds.rate, settings)
     bounds = np.full((2, n + m), ((-UNBOUNDED,), (UNBOUNDED,)))
-    guess = _guess(pool.latest, nlp, around, blocks)
+    guess, last = _guess(pool.latest, nlp, around, n, blocks.clearance.start)
+    guess = guess[np.abs(guess) <= last]
     program = QuadraticProgram(h.copy(), np.empty(n), np.empty((m, n)), bounds, basis.num_knots, guess, dense)
     program.a[: len(a)] = a
     _fill_cost(program, blocks, around, proximal, penalties, settings.ridge)
@@ -258,7 +316,7 @@ def _fill_goal_and_trust_region(rows: _Rows, blocks: Blocks, around: Subproblem,
 
 def _fill_rate(rows: _Rows, blocks: Blocks, nlp: NonlinearProgram, variables: Variables) -> None:
     basis, bound = nlp.basis, nlp.inner_bounds.rate
-    slopes, allowed = basis.span_slopes @ variables.curvature, bound * variables.lengths[basis.span_gear]
+    slopes, allowed = basis.slopes(variables.curvature), bound * variables.lengths[basis.span_gear]
     rows.upper[blocks.rate_up], rows.upper[blocks.rate_down] = allowed - slopes, allowed + slopes
 
 
@@ -276,15 +334,17 @@ class _ActiveRows(NamedTuple):
     active: IntArray
 
 
-def _guess(latest: _ActiveRows | None, nlp: NonlinearProgram, around: Subproblem, blocks: Blocks) -> IntArray:
-    """Return the constraints that are probably active: those of the step before, or the bounds of the slacks."""
-    variables = blocks.size[0]
+def _guess(
+    latest: _ActiveRows | None, nlp: NonlinearProgram, around: Subproblem, variables: int, fixed: int
+) -> tuple[IntArray, int]:
+    """Return the constraints that are probably active, and the last one of them that is in this program.
+
+    They are those of the step before, or the bounds of the slacks; `fixed`: number of rows before those of clearance.
+    """
     if latest is None or latest.bounds is not nlp.inner_bounds:
-        return np.arange(blocks.path.stop + 1, variables + 1)
-    if latest.rows is around.rows:
-        return latest.active
-    kept: IntArray = latest.active[np.abs(latest.active) <= variables + blocks.clearance.start]
-    return kept
+        return np.arange(nlp.basis.size + 1, variables + 1), variables
+    everything = variables + fixed + around.rows.gap.size
+    return latest.active, everything if latest.rows is around.rows else variables + fixed
 
 
 class ProgramPool:
@@ -303,6 +363,7 @@ class ProgramPool:
         self.latest: _ActiveRows | None = None
         self.build_time = 0.0
         self.pace = 1.0
+        self._work, self._indices = np.empty(0), np.empty(0, dtype=np.int64)
 
     def program(self, size: int, rows: int) -> DenseProgram:
         """Return the program with these numbers of columns and rows."""
@@ -315,6 +376,14 @@ class ProgramPool:
                 self._programs.popitem(last=False)
         self._programs.move_to_end(key)
         return self._programs[key]
+
+    def work(self, numbers: int, integers: int) -> tuple[FloatArray, IntArray]:
+        """Return arrays of these sizes for the work of a kernel, which the next call overwrites."""
+        if self._work.size < numbers:
+            self._work = np.empty(numbers)
+        if self._indices.size < integers:
+            self._indices = np.empty(integers, dtype=np.int64)
+        return self._work[:numbers], self._indices[:integers]
 
     def load_fallback(self) -> None:
         """Load the library of the fallback solver, which takes a few milliseconds."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.basis import Basis
 
-__all__ = ["Rollout", "Sensitivity", "Variables", "displacements", "in_order", "roll_out", "sensitivity"]
+__all__ = ["Rollout", "Sensitivity", "Variables", "displacements", "in_order", "roll_out", "sensitivity", "squared"]
 
 _ROLL_OUT = Kernel("optdock_roll_out", sizes=4, numbers=0)
 _SENSITIVITY = Kernel("optdock_sensitivity", sizes=4, numbers=0)
@@ -63,6 +63,11 @@ def in_order(terms: FloatArray, axis: int = 0) -> FloatArray:
     is_outer = terms.ndim > 1 and terms.strides[axis] == max(terms.strides) and min(terms.shape) > 1
     sums: FloatArray = terms.sum(axis=axis) if is_outer else np.add.accumulate(terms, axis=axis).take(-1, axis)
     return sums
+
+
+def squared(rows: FloatArray) -> FloatArray:
+    """Return the sum of the products of each row with itself, in the order of the rows. Shape (size, size)."""
+    return in_order(rows[:, :, None] * rows[:, None])
 
 
 def displacements(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> FloatArray:

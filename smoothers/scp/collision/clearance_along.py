@@ -5,7 +5,7 @@ The twin of the kernel is the sequence of `collision_scene.body_at_nodes`, `broa
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,12 +23,12 @@ from smoothers.scp.collision.collision_scene import (
 from smoothers.scp.collision.narrow_phase import Clearance, narrow_phase
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.rollout import Rollout
 
-__all__ = ["clearance_along"]
+__all__ = ["Room", "clearance_along", "evaluates_all_edges"]
 
 _KERNEL = Kernel("optdock_clearance_along", sizes=11, numbers=4)
 assert (DOCKING, FULL, LEAVING, UNDOCKING) == (0, 1, 2, 3)  # constants of the kernel
@@ -44,9 +44,12 @@ def clearance_along(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatAr
         signs: Gears, Shape (num_gears,).
         reach: See `broad_phase`.
     """
-    # The kernel evaluates all edges of the body; of many edges the twin selects some.
-    has_many_edges = scene.body.vertices.shape[1] > scene.settings.facing_edges
-    return (_by_numpy if has_many_edges else _along)(scene, basis, rollout, signs, reach)
+    return (_along if evaluates_all_edges(scene) else _by_numpy)(scene, basis, rollout, signs, reach)
+
+
+def evaluates_all_edges(scene: Scene) -> bool:
+    """Whether all edges of the body are candidates, as in the kernel; of many edges, NumPy selects some."""
+    return len(scene.body.vertices[0]) <= scene.settings.facing_edges
 
 
 def _by_numpy(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
@@ -55,33 +58,56 @@ def _by_numpy(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, r
     return narrow_phase(scene, basis, rollout, signs, body, pairs)
 
 
+class Room(NamedTuple):
+    """Sizes of the kernel's arrays."""
+
+    scene: int
+    nodes: int
+    corners: int  # of a swept hull
+    pairs: int  # most pairs
+    width: int  # numbers per pair
+    work: int
+    indices: int
+
+    @classmethod
+    def of(cls, scene: Scene, basis: Basis) -> Room:
+        """Return the sizes for a scene and a basis."""
+        settings, (count, k, _) = scene.settings, scene.obstacles.vertices.shape
+        parts, v, _ = scene.body.vertices.shape
+        nodes, rows = basis.num_nodes, parts * basis.num_intervals
+        room = rows * count
+        most = min(room, max(settings.few_pairs, rows * settings.nearest * settings.nearest_close))
+        size = parts * (5 * v + 4) + count * (4 * k + 4) + RULE_NUMBERS
+        work = 2 * parts * nodes * (v + 2) + 8 * rows + room + 8 * v + 2 * nodes
+        return cls(size, nodes, 2 * v, most, 6 * v + 2 * k + 4, work, 4 * room + rows)
+
+    def clearance(self, pairs: IntArray, out: FloatArray, p: int) -> Clearance:
+        """Return the result of the kernel, `p` pairs."""
+        n = self.nodes
+        required = Requirement(out[:n], out[n : 3 * n].reshape(n, 2), pairs[:n], out[3 * n : 4 * n])
+        table = out[4 * n : 4 * n + self.width * p].reshape(self.width, p)
+        return Clearance.within(table, self.corners, Pairs(*pairs[n : n + 3 * p].reshape(3, p)), required)
+
+
 def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
     settings, (count, k, _) = scene.settings, scene.obstacles.vertices.shape
-    parts, v, _ = scene.body.vertices.shape
-    nodes, rows = basis.num_nodes, parts * basis.num_intervals
-    room = rows * count
-    most = min(room, max(settings.few_pairs, rows * settings.nearest * settings.nearest_close))
-    width = 6 * v + 2 * k + 4
-    found, out = np.empty(nodes + 3 * most, dtype=np.int64), np.empty(4 * nodes + width * most)
-    size = 2 * parts * nodes * (v + 2) + 8 * rows + room + 8 * v + 2 * nodes
+    (parts, v, _), nodes, room = scene.body.vertices.shape, basis.num_nodes, Room.of(scene, basis)
+    pairs, out = np.empty(nodes + 3 * room.pairs, dtype=np.int64), np.empty(4 * nodes + room.width * room.pairs)
     arrays = (
-        (scene.packed, parts * (5 * v + 4) + count * (4 * k + 4) + RULE_NUMBERS),
+        (scene.packed, room.scene),
         (rollout.packed, 4 * nodes + 6 * basis.num_intervals),
         (signs, basis.num_gears),
         (basis.left, basis.num_intervals),
-        (found, found.size),
+        (pairs, pairs.size),
         (out, out.size),
-        (np.empty(size), size),
-        (np.empty(4 * room + rows, dtype=np.int64), 4 * room + rows),
+        (np.empty(room.work), room.work),
+        (np.empty(room.indices, dtype=np.int64), room.indices),
     )
     counts = (parts, v, count, k, nodes, basis.num_intervals, settings.few_pairs, settings.nearest)
     selection = (settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices)
     close = scene.rule.required + settings.surely_kept
     p = _KERNEL((*counts, *selection), (scene.body.radius, reach, close, settings.lowest_slope), arrays)
-    gradient = out[nodes : 3 * nodes].reshape(nodes, 2)
-    required = Requirement(out[:nodes], gradient, found[:nodes], out[3 * nodes : 4 * nodes])
-    table = out[4 * nodes : 4 * nodes + width * p].reshape(width, p)
-    return Clearance.within(table, 2 * v, Pairs(*found[nodes : nodes + 3 * p].reshape(3, p)), required)
+    return room.clearance(pairs, out, p)
 
 
 _along = twin_of(_by_kernel)(_by_numpy)

@@ -36,6 +36,7 @@ __all__ = [
     "linearized_clearance",
     "local_minima",
     "separating_plane_rows",
+    "small_obstacles",
 ]
 
 
@@ -57,13 +58,22 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
     chosen = ~deep
     limit = min(most, max(settings.few_planes, num_intervals))
     if settings.thins_small_obstacles and worst < -settings.clear and np.count_nonzero(chosen) > limit:
-        small = 2.0 * np.maximum(scene.box_half.x[0], scene.box_half.y[0]) < scene.body.width
-        chosen &= ~small[found.pairs.obstacle] | local_minima(found.pairs, found.margin)
+        is_small = small_obstacles(scene)[found.pairs.obstacle]
+        chosen &= ~is_small | local_minima(found.pairs, found.margin)
     (planes,) = chosen.nonzero()
-    if planes.size > limit:
-        planes = planes[np.argpartition(found.margin[planes], limit)[:limit]]
-        planes.sort()
+    planes = planes[_smallest(found.margin[planes], limit)]
     return ActivePairs(planes, deep.nonzero()[0])
+
+
+def small_obstacles(scene: Scene) -> BoolArray:
+    """Return a mask of the obstacles that are smaller than the body is wide. Shape (number of obstacles,)."""
+    small: BoolArray = 2.0 * np.maximum(scene.box_half.x[0], scene.box_half.y[0]) < scene.body.width
+    return small
+
+
+def _smallest(values: FloatArray, most: int) -> IntArray:
+    """Return the ascending indices of the `most` smallest values, the first ones among equal values."""
+    return np.sort(np.argsort(values, kind="stable")[:most])
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
@@ -109,7 +119,7 @@ class ClearanceRows(NamedTuple):
 
     def lowest(self, most: int) -> ClearanceRows:
         """Return the `most` rows with the smallest gaps."""
-        return self if self.gap.size <= most else self.subset(np.argpartition(self.gap, most)[:most])
+        return self if self.gap.size <= most else self.subset(_smallest(self.gap, most))
 
 
 def linearized_clearance(
@@ -286,7 +296,7 @@ def _part_rows(
     arm = np.stack((c * centres[:, 0] - s * centres[:, 1], s * centres[:, 0] + c * centres[:, 1]), axis=-1)
     points = rollout.poses[node, None, :2] + arm
     distance, normal = _signed_distance(points, scene.obstacles.vertices[obstacle], scene.obstacles.normals[obstacle])
-    order = np.argsort(distance, axis=1)[:, : scene.settings.discs_per_node]
+    order = np.argsort(distance, axis=1, kind="stable")[:, : scene.settings.discs_per_node]
     rows = np.arange(len(node))[:, None]
     flat = np.repeat(node, order.shape[1])
     gap = distance[rows, order].ravel() - radius

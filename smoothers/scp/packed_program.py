@@ -1,0 +1,77 @@
+"""The constants of a program as two arrays, for the kernel `loop_kernel.c`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.arrays import readonly
+from smoothers.scp.collision.linearization import covering_discs, small_obstacles
+from smoothers.scp.qp_step import trusted_nodes
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from smoothers.scp.nlp import NonlinearProgram
+
+__all__ = ["PackedProgram", "packed"]
+
+
+class PackedProgram(NamedTuple):
+    """Integers and numbers in the order of `Counts`, `Numbers` and `Program` of the kernel, Shape (any,) each."""
+
+    counts: IntArray
+    numbers: FloatArray
+
+
+def packed(nlp: NonlinearProgram) -> PackedProgram:
+    """Return the constants of a program; the first integers and numbers are those of the kernel's structures."""
+    basis, scene, near, step = nlp.basis, nlp.scene, nlp.scene.settings, nlp.settings.step
+    (parts, v, _), (obstacles, k, _) = scene.body.vertices.shape, scene.obstacles.vertices.shape
+    trusted, discs = trusted_nodes(basis, step), _discs(nlp)
+    selection = near.few_pairs, near.nearest, near.nearest_close, near.grouped_intervals, near.lowest_vertices
+    active = near.few_planes, near.thins_small_obstacles, near.discs_per_node, near.most_discs
+    projection = nlp.settings.projection
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, parts, v, obstacles, k
+    others = projection.max_steps, projection.alternations, step.zones, trusted.size
+    is_limited = bool(np.isfinite(nlp.inner_bounds.rate))
+    counts = np.concatenate(
+        (
+            np.array((*sizes, *selection, *active, *others, is_limited, step.clearance_rows[-1]), dtype=np.int64),
+            basis.divisions.ravel(),
+            basis.left,
+            trusted,
+            small_obstacles(scene).astype(np.int64),
+            np.array([len(centres) for centres, _ in discs], dtype=np.int64),
+        )
+    )
+    return PackedProgram(readonly(counts), readonly(np.concatenate((_numbers(nlp), *_arrays(nlp, discs)))))
+
+
+def _numbers(nlp: NonlinearProgram) -> FloatArray:
+    near, loop, step, scene = nlp.scene.settings, nlp.settings.loop, nlp.settings.step, nlp.scene
+    projection, weights = nlp.settings.projection, nlp.cost.weights
+    body = scene.body.radius, scene.body.width, scene.rule.required, scene.rule.required + near.surely_kept
+    deep = near.clear, near.deep, near.very_deep, near.near_deep
+    rows = near.support_slope, near.same_witness
+    goal = projection.tolerance, projection.renew, projection.contraction, nlp.ends.reach
+    rates = nlp.bounds.rate, nlp.inner_bounds.rate
+    reach = loop.reach, loop.most_reach, loop.reach_per_motion, loop.least_reach
+    slacks = step.curved_goal_slack, step.curved_clearance_slack, step.ridge
+    others = loop.end_allowance, weights.length, weights.tracking, step.buffer_taper, step.yaw_motion
+    return np.array((*body, near.lowest_slope, *deep, *rows, *goal, *rates, *reach, *others, *slacks))
+
+
+def _arrays(nlp: NonlinearProgram, discs: list[tuple[FloatArray, float]]) -> list[FloatArray]:
+    centres = np.zeros((len(discs), nlp.scene.settings.most_discs, 2))
+    for places, (found, _) in zip(centres, discs, strict=True):
+        places[: len(found)] = found
+    ends, outer, inner = nlp.ends, nlp.bounds, nlp.inner_bounds
+    bounds = outer.lower, outer.upper, inner.lower, inner.upper
+    radii = np.array([radius for _, radius in discs])
+    arrays = ends.start, ends.signs, ends.target, *bounds, *nlp.cost.hessians, *nlp.cost.reference, radii, centres
+    return [array.ravel() for array in arrays]
+
+
+def _discs(nlp: NonlinearProgram) -> list[tuple[FloatArray, float]]:
+    return [covering_discs(vertices, nlp.scene.settings.most_discs) for vertices in nlp.scene.body.vertices]
