@@ -17,6 +17,7 @@ import numpy as np
 
 from optdock.deadline import never_late
 from optdock.geometry.arrays import product_of_columns
+from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
@@ -215,19 +216,26 @@ def rest_of_earlier_result(
     return EarlierResult(earlier, first, float(s[nearest]), lengths)
 
 
-class _Limits(NamedTuple):
-    curvature: float
-    rate: float
-    step: float
-    lookahead: float
+class _Pursuit(NamedTuple):
+    """The pursuit of one gear: the input at equal steps, followed by a straight line."""
+
+    points: FloatArray  # input, Shape (n, 2) [m]
+    away: FloatArray  # arc lengths of its points, Shape (n,) [m]
+    start: FloatArray  # pose, Shape (3,)
+    sign: float  # gear
+    angle: float  # direction of the straight line [rad]
+    step: float  # [m]
+    limits: tuple[float, float]  # largest curvature [1/m] and its largest change in a step [1/m]
+    # numbers of steps: inside the input, on the line, of the lookahead distance, and the most that are driven
+    counts: tuple[int, int, int, int]
 
 
 class _Drive(NamedTuple):
-    """A driven gear: yaw at equally spaced points, length [m] and last pose."""
+    """A driven gear: yaws at the middles of its intervals, Shape (cells,), number of steps, last pose, Shape (3,)."""
 
-    yaw: list[float]
-    length: float
-    pose: tuple[float, float, float]
+    yaw: FloatArray
+    steps: int
+    pose: FloatArray
 
 
 def pure_pursuit(
@@ -235,84 +243,99 @@ def pure_pursuit(
 ) -> Variables:
     """Return the variables from pure pursuit of `positions`, Shape (num_nodes, 2) [m], within the bounds."""
     limit = float(bounds.upper[: basis.num_knots].max())
-    headings, lengths = np.empty(basis.num_intervals), np.empty(basis.num_gears)
-    pose = (float(ends.start[0]), float(ends.start[1]), float(ends.start[2]))
-    for m in range(basis.num_gears):
-        points = positions[basis.node_gear == m]
-        spacing = float(np.hypot(*np.diff(points, axis=0).T).mean())
-        step = min(max(spacing, 0.01), settings.pursuit_step / limit)
-        limits = _Limits(limit, bounds.rate, step, max(1.0 / limit, 4.0 * step))
-        aim = ends.target[2] if m == basis.num_gears - 1 else None
-        line = _extended(points, ends.signs[m], aim, limits)
-        drive = _pursue(pose, float(ends.signs[m]), line, limits, settings.pursuit_longest)
-        mine = basis.interval_gear == m
-        middle = (np.arange(mine.sum()) + 0.5) / mine.sum()
-        headings[mine] = np.interp(middle * (len(drive.yaw) - 1.0), np.arange(len(drive.yaw)), drive.yaw)
-        lengths[m], pose = drive.length, drive.pose
+    drives, lengths, pose = [], np.empty(basis.num_gears), ends.start
+    for m, (last, cells) in enumerate(zip(basis.last_nodes.tolist(), basis.divisions[:, 1].tolist(), strict=True)):
+        points, away = positions[last - cells : last + 1], np.zeros(cells + 1)
+        chords = np.hypot(*(points[1:] - points[:-1]).T)
+        chords.cumsum(out=away[1:])
+        step = min(max(float(chords.mean()), 0.01), settings.pursuit_step / limit)
+        lookahead, sign = max(1.0 / limit, 4.0 * step), float(ends.signs[m])
+        if m == basis.num_gears - 1:  # the line aligns the end of the pursuit with the target
+            angle = float(ends.target[2]) + (0.0 if sign > 0.0 else math.pi)
+        else:
+            angle = math.atan2(points[-1, 1] - points[-2, 1], points[-1, 0] - points[-2, 0])
+        inside, beyond = math.ceil(float(away[-1]) / step), math.ceil(2.0 * lookahead / step)
+        most = int(settings.pursuit_longest * (inside + beyond) + 2.0 * math.pi / (limit * step))
+        counts = inside, beyond, math.ceil(lookahead / step), most
+        drive = _drive_of(_Pursuit(points, away, pose, sign, angle, step, (limit, bounds.rate * step), counts), cells)
+        drives.append(drive.yaw)
+        lengths[m], pose = max(1, drive.steps) * step, drive.pose
     # A fit of the headings: samples of the curvature at the few knots would drift away.
-    turned = basis.fit @ (headings - ends.start[2])
+    turned = basis.fit @ (np.concatenate(drives) - ends.start[2])
     return Variables(turned / lengths[basis.knot_gear], lengths)
 
 
-def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limits) -> list[tuple[float, float]]:
-    """Return the points at the spacing of a step, extended by a straight line that aligns the end of the pursuit."""
-    away = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-    s = np.arange(0.0, away[-1], limits.step)
-    dense = [np.interp(s, away, points[:, i]) for i in (0, 1)]
-    last = points[-1] - points[-2]
-    angle = math.atan2(last[1], last[0]) if yaw is None else yaw + (0.0 if sign > 0.0 else math.pi)
-    beyond = np.arange(0.0, 2.0 * limits.lookahead, limits.step)
-    x = np.concatenate((dense[0], points[-1, 0] + beyond * math.cos(angle)))
-    y = np.concatenate((dense[1], points[-1, 1] + beyond * math.sin(angle)))
-    return list(zip(x.tolist(), y.tolist(), strict=True))
+_PURSUE = Kernel("optdock_pursue", sizes=6, numbers=5)
 
 
-def _pursue(
-    pose: tuple[float, float, float], sign: float, line: list[tuple[float, float]], limits: _Limits, longest: float
-) -> _Drive:
-    """Drive by pure pursuit of `line`, whose tail of two lookahead distances lies beyond the end."""
-    x, y, yaw = pose
-    tail = math.ceil(2.0 * limits.lookahead / limits.step)
-    end, ahead = max(1, len(line) - tail), math.ceil(limits.lookahead / limits.step)
-    most = int(longest * len(line) + 2.0 * math.pi / (limits.curvature * limits.step))
+def _drive_natively(task: _Pursuit, cells: int) -> _Drive:
+    pose, headings, count, most = task.start.copy(), np.empty(cells), len(task.points), task.counts[-1]
+    arrays = (
+        (np.ascontiguousarray(task.points), 2 * count),
+        (task.away, count),
+        (pose, 3),
+        (headings, cells),
+        (np.empty(most + 1), most + 1),
+    )
+    numbers = task.sign, task.angle, *task.limits, task.step
+    return _Drive(headings, _PURSUE((count, *task.counts, cells), numbers, arrays), pose)
+
+
+@twin_of(_drive_natively)
+def _drive_of(task: _Pursuit, cells: int) -> _Drive:
+    """Drive one gear by pure pursuit, and return its yaws at the middles of `cells` equal intervals."""
+    (x, y, yaw), (inside, _, ahead, most) = task.start.tolist(), task.counts
+    line = _pursued_line(task)
     nearest, kappa, driven = 0, 0.0, [yaw]
     for count in range(most):
         nearest = _advanced(line, nearest, x, y)
-        if nearest >= end and count > 3:
+        if nearest >= max(1, inside) and count > 3:
             break
-        target = line[min(nearest + ahead, len(line) - 1)]
-        kappa = _steered(kappa, (x, y, yaw), sign, target, limits)
-        middle = yaw + 0.5 * kappa * limits.step
-        x, y = x + sign * limits.step * math.cos(middle), y + sign * limits.step * math.sin(middle)
-        yaw += kappa * limits.step
+        kappa = _steered(kappa, (x, y, yaw), line[min(nearest + ahead, len(line) - 1)], task)
+        middle = yaw + 0.5 * kappa * task.step
+        x, y = x + task.sign * task.step * math.cos(middle), y + task.sign * task.step * math.sin(middle)
+        yaw += kappa * task.step
         driven.append(yaw)
-    return _Drive(driven, max(1, len(driven) - 1) * limits.step, (x, y, yaw))
+    middles = (np.arange(cells) + 0.5) / cells
+    yaws = np.interp(middles * (len(driven) - 1.0), np.arange(len(driven)), driven)
+    return _Drive(yaws, len(driven) - 1, np.array([x, y, yaw]))
+
+
+def _pursued_line(task: _Pursuit) -> list[tuple[float, float]]:
+    """Return the points of the input at the spacing of a step, and those of the straight line beyond it."""
+    inside, beyond = (task.step * np.arange(count) for count in task.counts[:2])
+    columns = []
+    for i, slope in enumerate((math.cos(task.angle), math.sin(task.angle))):
+        dense = np.interp(inside, task.away, task.points[:, i])
+        columns.append(np.concatenate((dense, task.points[-1, i] + beyond * slope)).tolist())
+    return list(zip(*columns, strict=True))
+
+
+def _distance(point: tuple[float, float], x: float, y: float) -> float:
+    return float(np.hypot(point[0] - x, point[1] - y))  # of the C library, unlike `math.hypot`
 
 
 def _advanced(line: list[tuple[float, float]], nearest: int, x: float, y: float) -> int:
     """Return the index of the next local minimum of the distance, starting at `nearest`."""
-    best = math.hypot(line[nearest][0] - x, line[nearest][1] - y)
+    best = _distance(line[nearest], x, y)
     while nearest + 1 < len(line):
-        following = math.hypot(line[nearest + 1][0] - x, line[nearest + 1][1] - y)
+        following = _distance(line[nearest + 1], x, y)
         if following > best:
             break
         nearest, best = nearest + 1, following
     return nearest
 
 
-def _steered(
-    kappa: float, pose: tuple[float, float, float], sign: float, target: tuple[float, float], limits: _Limits
-) -> float:
+def _steered(kappa: float, pose: tuple[float, float, float], target: tuple[float, float], task: _Pursuit) -> float:
     """Return the curvature of the arc through the target, within the limits."""
+    limit, change = task.limits
     dx, dy = target[0] - pose[0], target[1] - pose[1]
-    heading = pose[2] + (0.0 if sign > 0.0 else math.pi)
+    heading = pose[2] + (0.0 if task.sign > 0.0 else math.pi)
     along, across = dx * math.cos(heading) + dy * math.sin(heading), dy * math.cos(heading) - dx * math.sin(heading)
-    distance = max(math.hypot(dx, dy), 1e-6)
+    distance = max(_distance(target, *pose[:2]), 1e-6)
     # The arc through a target behind the robot is too flat.
-    wanted = 2.0 * across / distance**2 if along > 0.0 else math.copysign(limits.curvature, across)
-    change = limits.rate * limits.step
-    wanted = min(max(wanted, kappa - change), kappa + change)
-    return min(max(wanted, -limits.curvature), limits.curvature)
+    wanted = 2.0 * across / (distance * distance) if along > 0.0 else math.copysign(limit, across)
+    return min(max(min(max(wanted, kappa - change), kappa + change), -limit), limit)
 
 
 def largest_deviation(nlp: NonlinearProgram, rollout: Rollout) -> float:
