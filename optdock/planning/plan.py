@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -181,7 +182,7 @@ class DockPlan:
     def __repr__(self) -> str:
         return f"<DockPlan {self}>"
 
-    @property
+    @cached_property
     def price(self) -> float:
         """The price by which plans are compared [s], see `price_of`."""
         return price_of(self.path, self.trajectory.duration, self.motion.problem.robot)
