@@ -74,18 +74,24 @@ logger = logging.getLogger(__name__)
 
 PLAIN_TIMING = "Windowed"  # its motions need no repair
 # Time reserved for timing the path and proving the motion: least and largest share of the budget, the limits of the
-# latter [s], and the predicted time [s] on the benchmark machine: once, per gear and per metre.
+# latter [s], and the time [s] on the benchmark machine: once, per gear and per metre.
 _RESERVED_LEAST, _RESERVED_SHARE, _RESERVED_RANGE, _PREDICTED = 0.15, 0.3, (0.004, 0.03), (5e-4, 1e-3, 7e-5)
 _COUNTED_PACE = 2.0  # counted time, relative to that of the benchmark machine
 _PROOF = 0.0003  # [s], reserved for the proof of the motion, most of which is made with the timing
 
 _T = TypeVar("_T")
 
-# Durations of the last timings with their proofs, relative to the predictions, for each time parameterizer. Measured
-# times do not depend on the machine's speed at its start, which other processes change.
+# Durations of the last timings relative to the benchmark machine, for each time parameterizer. Measured times follow
+# the speed of the machine, which other processes change.
 _PACES: dict[type[TimeParameterizer], collections.deque[float]] = {}
-_REMEMBERED, _HIGH = 9, 3  # durations; the third longest is expected
+_REMEMBERED = 9  # durations, of which the median is expected
 _UNFINISHED = 1.5  # factor on the duration of a timing that ran out of time
+_HOPELESS = 0.5  # of the expected duration: in less time no timing is begun, because its steps would end late
+
+
+def _predicted(gears: int, length: float) -> float:
+    once, per_gear, per_metre = _PREDICTED
+    return once + per_gear * gears + per_metre * length
 
 
 class Cancellation:
@@ -137,22 +143,16 @@ class Refinement:
         self.reserve = self.reserved(1, 0.0)
 
     def reserved(self, gears: int, length: float) -> float:
-        """Return the time [s] reserved for the timing of a path of this many gears and this length [m], and its proof.
+        """Return the time [s] reserved for timing a path of this many gears and this length [m], and for the proof."""
+        return max(min(_RESERVED_LEAST * self.budget, _RESERVED_RANGE[1]), self._expected(gears, length))
 
-        On a counted clock, it does not depend on earlier calls.
-        """
-        needed = self._predicted(gears, length)
-        if clock_name() == "counted":
-            needed *= _COUNTED_PACE
-        elif paces := _PACES.get(type(self.timing)):
-            needed *= sorted(paces)[-min(_HIGH, len(paces))]
+    def _expected(self, gears: int, length: float) -> float:
+        """Return the expected time [s] of a timing and its proof; a counted time does not depend on earlier calls."""
+        pace, measured = _COUNTED_PACE, _PACES.get(type(self.timing), ())
+        if clock_name() != "counted":
+            pace = sorted(measured)[(len(measured) - 1) // 2] if measured else 1.0
         most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
-        return min(max(_RESERVED_LEAST * self.budget, needed), most)
-
-    @staticmethod
-    def _predicted(gears: int, length: float) -> float:
-        once, per_gear, per_metre = _PREDICTED
-        return once + per_gear * gears + per_metre * length
+        return min(pace * _predicted(gears, length), most)
 
     def timed(self, stage: str) -> StageTimer:
         """Return a context that adds its duration to the time of `stage`."""
@@ -253,15 +253,7 @@ class Refinement:
             broken = next((bound for bound in sampled if not bound.holds), None)
             if broken is not None:
                 raise broken.failure(path)
-        watch, unfinished = Stopwatch(self.deadline), 1.0
-        try:
-            motion, report = self._certified_motion(path)
-        except TimingTimedOut:
-            unfinished = _UNFINISHED
-            raise
-        finally:
-            pace = unfinished * watch.read()[1] / self._predicted(len(path.segments), path.length)
-            _PACES.setdefault(type(self.timing), collections.deque(maxlen=_REMEMBERED)).append(pace)
+        motion, report = self._certified_motion(path)
         return DockPlan(motion, raw, smoothing_report=SmoothingReport(sampled=sampled), timing_report=report)
 
     def _smoothed(
@@ -341,12 +333,13 @@ class Refinement:
 
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
-        if allowance <= 0.0:
+        if allowance <= _HOPELESS * self._expected(len(path.segments), path.length):
             raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
         wait = self.problem.start_wait(path)
         waits: dict[str, Any] = {"start_wait": wait} if wait > 0.0 else {}
+        watch = Stopwatch(self.deadline)
         with at_work(method, self.problem, self.cancelled):
             result = method.parameterize(
                 path,
@@ -360,6 +353,9 @@ class Refinement:
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")
+        pace = watch.read()[1] / _predicted(len(path.segments), path.length)
+        pace *= _UNFINISHED if result.status is TimingStatus.TIMED_OUT else 1.0
+        _PACES.setdefault(type(method), collections.deque(maxlen=_REMEMBERED)).append(pace)
         returned(result.report, TimingReport, method, "the report of its result")
         return result
 
