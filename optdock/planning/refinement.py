@@ -84,7 +84,7 @@ _T = TypeVar("_T")
 # Durations of the last timings relative to the benchmark machine, for each time parameterizer. Measured times follow
 # the speed of the machine, which other processes change.
 _PACES: dict[type[TimeParameterizer], collections.deque[float]] = {}
-_REMEMBERED = 9  # durations, of which the median is expected
+_REMEMBERED = 9  # durations, of which the third longest is expected
 _UNFINISHED = 1.5  # factor on the duration of a timing that ran out of time
 _HOPELESS = 0.5  # of the expected duration: in less time no timing is begun, because its steps would end late
 
@@ -150,7 +150,7 @@ class Refinement:
         """Return the expected time [s] of a timing and its proof; a counted time does not depend on earlier calls."""
         pace, measured = _COUNTED_PACE, _PACES.get(type(self.timing), ())
         if clock_name() != "counted":
-            pace = sorted(measured)[(len(measured) - 1) // 2] if measured else 1.0
+            pace = sorted(measured)[3 * (len(measured) - 1) // 4] if measured else 1.0
         most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
         return min(pace * _predicted(gears, length), most)
 
