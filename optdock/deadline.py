@@ -182,7 +182,8 @@ class Deadline:
         clock: Callable[[], float] = now,
         stop: Callable[[], bool] = never_late,
     ) -> None:
-        self.seconds, self._stop = seconds, _Latch(stop)
+        self.seconds = seconds
+        self._stop = None if stop is never_late else _Latch(stop)
         self._clock = _OfProcess.clock.read if clock is now else clock
         self._began = self._clock()
 
@@ -199,15 +200,15 @@ class Deadline:
     @property
     def left(self) -> float:
         """Remaining seconds; negative after the deadline."""
-        return self.seconds - self.elapsed
+        return self.seconds - (self._clock() - self._began)
 
     def fits(self, seconds: float) -> bool:
         """Whether work of this duration ends before the deadline."""
-        return self.elapsed + seconds <= self.seconds
+        return self._clock() - self._began + seconds <= self.seconds
 
     def passed(self) -> bool:
         """Whether no time remains; usable as a `cancel_checker` or `is_late`."""
-        return self.elapsed >= self.seconds or self._stop()
+        return self._clock() - self._began >= self.seconds or (self._stop is not None and self._stop())
 
     @property
     def is_wall(self) -> bool:
@@ -217,7 +218,7 @@ class Deadline:
     @property
     def stopped(self) -> bool:
         """Whether `stop` has returned True."""
-        return self._stop.was_true
+        return self._stop is not None and self._stop.was_true
 
     def look(self) -> None:
         """Check the deadline.
@@ -248,7 +249,8 @@ class Stopwatch:
     __slots__ = ("_began", "_deadline", "_worked")
 
     def __init__(self, deadline: Deadline) -> None:
-        self._deadline, self._began, self._worked = deadline, deadline.elapsed, time.thread_time()
+        self._deadline, self._began = deadline, deadline.elapsed
+        self._worked = time.thread_time() if deadline.is_wall else 0.0
 
     def read(self) -> tuple[float, float]:
         """Return the elapsed time and the part of it that was work [s]."""

@@ -50,17 +50,15 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.price import least_price
 from optdock.planning.failures import Failure, check_ends, furthest, refusal, stage_of
+from optdock.planning.guess_edits import FEWER_CUSPS, fewer_cusps, stopping_at_bends
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import (
-    FEWER_CUSPS,
     Cancellation,
     Refinement,
     at_work,
-    fewer_cusps,
     plain,
     ran_out_of_time,
     returned,
-    stopping_at_bends,
 )
 from optdock.plugins.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.outcomes import Guess
@@ -99,8 +97,10 @@ _PUT_OFF, _SAMPLES, _SHORTLY, _BRIEFLY = 0.2, 24, 2.5, 0.045
 # that the last planner must leave unused.
 _EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
 # Share for a proof with the robot's largest disc alone, after a planner without result: it mostly ends within 3 ms if a
-# way exists, and the width of a gap that is too narrow is measured in 30 ms more.
-_DISC_PROOF = 0.25
+# way exists, and the width of a gap that is too narrow is measured in 30 ms more. Before the first guess is smoothed,
+# it is only tried if it may take the least time [s].
+_DISC_PROOF, _DISC_LEAST = 0.25, 0.004
+_STRAIGHT_PROOF = 0.001  # [s], time for the proof that the final straight is blocked
 # A guess is tried only if its least price is below this share of the best plan's price; on easy scenes a plan costs
 # 0.2 % more than the least price of its path. In 352 cases, compared with a longer search: with 0.95, 25 plans cost
 # over 0.5 % more and 2 cost less; with 0.98, 2 plans cost more and 9 less, in a tenth more time. 0.97 lies between.
@@ -198,7 +198,8 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
                 plan = _Portfolio(work, planners, given, so_far).plan()
         finally:
             _WAITS.append(work.longest_wait)
-        logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
+        if logger.isEnabledFor(logging.INFO):
+            logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
         return plan
     except OptdockError as error:
         so_far.timing_ms["total"] = 1e3 * deadline.elapsed
@@ -323,6 +324,7 @@ class _Portfolio:
     failures: list[Failure] = field(default_factory=list)
     interrupted: list[_Interrupted] = field(default_factory=list)
     left_out: set[str] = field(default_factory=set)  # digests of the tried guesses with a gear left out
+    is_straight_checked: bool = False  # whether a proof that the final straight is blocked was tried
     is_cut_off: bool = False  # whether the clock ended the call before all guesses were made or tried
 
     def __post_init__(self) -> None:
@@ -337,9 +339,6 @@ class _Portfolio:
         """Return the best plan; on failure, the partial plan of the most advanced guess is copied to `so_far`."""
         with self.work.timed("plan"):
             check_ends(self.problem)
-            blocked = prove_straight_blocked(self.problem) if not self.deadline.passed() else None
-        if blocked is not None:
-            raise NoMotionExists(blocked.message, proof=blocked, where=blocked.where)
         with contextlib.closing(self._guesses()) as guesses:
             for guess, is_last in guesses:
                 self._try(guess, is_last=is_last)
@@ -415,7 +414,8 @@ class _Portfolio:
             return self.best is None and self.deadline.elapsed > until
 
         def asked_to_stop() -> bool:
-            return is_used_up() or self.work.asked_to_stop()
+            end = self.deadline.seconds if self.best is not None else until
+            return self.work.cancelled() or self.deadline.elapsed >= end
 
         start, goal = self.problem.start, self.problem.goal
         guesses = iter(planner.create_plans(start, goal, asked_to_stop, self._worth_a_try))
@@ -464,7 +464,7 @@ class _Portfolio:
         """Refine a guess, or continue an interrupted one, and record the plan or the failure."""
         unhurried = is_last or self.best is not None
         overlapping = 0.0 if unhurried else self._overlapping(guess.path)
-        if overlapping > 0.0:
+        if overlapping > 0.0 and _DISC_PROOF * self.deadline.left >= _DISC_LEAST:
             self._look_for_a_proof(_DISC_PROOF, only_disc=True)
         is_long = overlapping * guess.path.length > _SHORTLY * self.problem.robot.footprint.length
         if overlapping > _PUT_OFF and is_long:
@@ -519,6 +519,7 @@ class _Portfolio:
         return float(np.mean(clearances < 0.0))
 
     def _fail(self, failure: Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
+        self._check_straight()
         reason = f"{type(failure.error).__name__}: {failure.error}"
         self.tried.append(Attempt(stage, path, seconds, reason=reason))
         self.failures.append(failure)
@@ -529,10 +530,22 @@ class _Portfolio:
         self.so_far.raw_path, self.so_far.path, self.so_far.certificate = left.raw_path, left.path, left.certificate
         self.so_far.tried = tuple(self.tried)
 
+    def _check_straight(self) -> None:
+        """Raise an error with the proof if the final straight is blocked, once and only after a first difficulty."""
+        if self.is_straight_checked or self.best is not None or not self.deadline.fits(_STRAIGHT_PROOF):
+            return
+        self.is_straight_checked = True
+        with self.work.timed("prove"):
+            proof = prove_straight_blocked(self.problem)
+        if proof is not None:
+            self._leave()
+            raise NoMotionExists(proof.message, proof=proof, where=proof.where)
+
     def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
         """Search for a proof that no motion exists, in a share of the remaining time; raise an error with the proof."""
         if self.best is not None or self.last_resort is not None or self.deadline.left <= 0.0:
             return
+        self._check_straight()
         with self.work.timed("prove"):
             if self.impossibility.ended:
                 return

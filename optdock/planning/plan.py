@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -182,7 +182,7 @@ class DockPlan:
     def __repr__(self) -> str:
         return f"<DockPlan {self}>"
 
-    @functools.cached_property
+    @cached_property
     def price(self) -> float:
         """The price by which plans are compared [s], see `price_of`."""
         return price_of(self.path, self.trajectory.duration, self.motion.problem.robot)

@@ -1,20 +1,14 @@
-"""Refinement of a guess to a plan by smoothing, certification, timing and a proof of the motion; edits of guesses.
-
-The edits preserve a straight line out of a contact, insert a stop at every bend, and leave out short gears.
-"""
+"""Refinement of a guess to a plan by smoothing, certification, timing and a proof of the motion."""
 
 from __future__ import annotations
 
+import collections
 import contextlib
-import itertools
 import logging
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-
-from optdock.deadline import Stopwatch
+from optdock.deadline import Stopwatch, clock_name
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -31,12 +25,11 @@ from optdock.errors import (
     TimingCancelled,
     TimingTimedOut,
 )
-from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.model.path import Path
-from optdock.model.segments import ClothoidSegment, PolylineSegment, TurnSegment
 from optdock.model.trajectory import Trajectory
 from optdock.planning.deformation import Push, deformed, push_off
+from optdock.planning.guess_edits import begun_straight, straight_along_contact
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plugins.interfaces import (
     LifecycleState,
@@ -49,13 +42,12 @@ from optdock.plugins.interfaces import (
     TimingReport,
     TimingResult,
     TimingStatus,
+    never_cancelled,
 )
 from optdock.plugins.registry import create_plugin
 from optdock.verification import (
     certify_motion,
     certify_path,
-    compiled_clearances,
-    end_clearances,
     prove_motion,
     where_broken,
 )
@@ -64,44 +56,42 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.deadline import Deadline
-    from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
-    from optdock.model.segments import Segment
     from optdock.plugins.lifecycle import Plugin
     from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
 __all__ = [
-    "FEWER_CUSPS",
     "Cancellation",
     "Refinement",
     "at_work",
-    "begun_straight",
-    "fewer_cusps",
     "plain",
     "ran_out_of_time",
     "returned",
     "sampled_bounds",
-    "stopping_at_bends",
-    "straight_along_contact",
 ]
 
 logger = logging.getLogger(__name__)
 
 PLAIN_TIMING = "Windowed"  # its motions need no repair
-FEWER_CUSPS = "fewer cusps"  # stage of the guesses of `fewer_cusps`
-# Share of the budget, its least and most [s], reserved for timing the path and proving the motion.
-_RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
-# Clearance below which the robot touches an obstacle [m]; spacing of the samples along a path [m]; heading tolerance of
-# a straight line [rad].
-_CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
-# Rounding of the curvature of a sampled arc [1/m]; with more bends than this within its gears a path is a curve, or
-# would stop too often.
-_SAME_BEND, _MOST_BENDS = 1e-5, 12
-_JOINED_SPACING = 0.02  # [m] between the poses of gears that are joined
-_LONGEST_LEFT_OUT = 0.5  # of the robot's length: longer gears cannot be replaced
-_PROOF = 0.001  # [s], reserved for the proof of the motion
+# Time reserved for timing the path and proving the motion: least and largest share of the budget, the limits of the
+# latter [s], and the time [s] on the benchmark machine: once, per gear and per metre.
+_RESERVED_LEAST, _RESERVED_SHARE, _RESERVED_RANGE, _PREDICTED = 0.15, 0.3, (0.004, 0.03), (5e-4, 1e-3, 7e-5)
+_COUNTED_PACE = 2.0  # counted time, relative to that of the benchmark machine
+_PROOF = 0.0003  # [s], reserved for the proof of the motion, most of which is made with the timing
 
 _T = TypeVar("_T")
+
+# Durations of the last timings relative to the benchmark machine, for each time parameterizer. Measured times follow
+# the speed of the machine, which other processes change.
+_PACES: dict[type[TimeParameterizer], collections.deque[float]] = {}
+_REMEMBERED = 9  # durations, of which the third longest is expected
+_UNFINISHED = 1.5  # factor on the duration of a timing that ran out of time
+_HOPELESS = 0.5  # of the expected duration: in less time no timing is begun, because its steps would end late
+
+
+def _predicted(gears: int, length: float) -> float:
+    once, per_gear, per_metre = _PREDICTED
+    return once + per_gear * gears + per_metre * length
 
 
 class Cancellation:
@@ -113,76 +103,14 @@ class Cancellation:
 
     def __call__(self) -> bool:
         """Whether the caller cancelled."""
+        if self._checker is never_cancelled:
+            return False
         try:
             self._cancelled = self._cancelled or bool(self._checker())
             return self._cancelled
         except BaseException as error:
             self.raised = error
             raise
-
-
-def straight_along_contact(path: Path, problem: DockingProblem) -> float:
-    """Return the length [m] of the straight line on which a robot that starts in contact leaves the obstacle.
-
-    A robot alongside a wall in contact can only drive straight. Smoothers do not reproduce this line exactly, so the
-    line of the guess is kept. The length is 0 if the robot touches no obstacle, is in motion or has its wheels turned,
-    or if the path begins at another pose or does not lead straight out of the contact.
-    """
-    first, start = path.segments[0], problem.start.as_array()
-    stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
-    if not stands or isinstance(first, TurnSegment) or end_clearances(problem).start > _CONTACT:
-        return 0.0
-    stations = np.arange(0.0, first.length, _CONTACT_SPACING)
-    poses = path.poses_at(stations)
-    along = np.array([math.cos(start[2]), math.sin(start[2])]) * stations[:, None] * int(first.direction)
-    is_straight = np.abs(poses - start - np.column_stack((along, np.zeros(len(poses))))).max(axis=1) < _STRAIGHT
-    if not is_straight[0]:
-        return 0.0
-    poses = poses[: len(poses) if is_straight.all() else int(is_straight.argmin())]
-    clearances, _ = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)
-    is_clear = clearances > _CONTACT
-    return float(stations[is_clear.argmax()]) if is_clear.any() else 0.0
-
-
-def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
-    """Return a path preceded by a straight line of a given length [m], from `start` to the beginning of the path.
-
-    If the path begins with a clothoid spline in the same gear, 1 or -1, the line becomes part of the spline.
-    """
-    first, segments = path.segments[0], path.segments
-    knots, curvature = np.array([0.0, length]), np.zeros(2)
-    if isinstance(first, ClothoidSegment) and first.spline.sign == gear:
-        knots = np.concatenate((knots, length + first.spline.knots[1:]))
-        curvature = np.concatenate((curvature[:1], first.spline.curvature))
-        segments = segments[1:]
-    return Path((ClothoidSegment(ClothoidSpline(start, knots, curvature, gear)), *segments), path.frame)
-
-
-def stopping_at_bends(path: Path) -> Path | None:
-    """Return a path as clothoid segments of constant curvature, with a stop at every jump of the curvature.
-
-    A robot at rest may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing. This
-    can be the only path if the room is too short for a transition between two curvatures. The result is None if the
-    path is not a sequence of arcs, lines and turns in place, or has too many bends.
-    """
-    found: list[Segment] = []
-    room = _MOST_BENDS
-    for segment in path.segments:
-        if not isinstance(segment, PolylineSegment):
-            found.append(segment)
-            continue
-        curvature = segment.step_curvature
-        bends = np.flatnonzero(~(np.abs(np.diff(curvature)) <= _SAME_BEND)) + 1
-        room -= bends.size
-        if room < 0:
-            return None
-        for begin, end in itertools.pairwise((0, *bends.tolist(), curvature.size)):
-            length = segment.knots[end] - segment.knots[begin]
-            bend = (segment.poses[end, 2] - segment.poses[begin, 2]) / length
-            pose, gear = Pose2.from_sequence(segment.poses[begin]), int(segment.direction)
-            spline = ClothoidSpline(pose, np.array([0.0, length]), np.array([bend, bend]), gear)
-            found.append(ClothoidSegment(spline))
-    return Path(tuple(found), path.frame)
 
 
 @dataclass(eq=False)
@@ -212,18 +140,23 @@ class Refinement:
     longest_wait: float = 0.0
 
     def __post_init__(self) -> None:
-        self.reserve = min(max(_RESERVED_SHARE * self.budget, _RESERVED_LEAST), _RESERVED_MOST)
+        self.reserve = self.reserved(1, 0.0)
 
-    @contextlib.contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Add the duration of the block to the time of `stage`."""
-        watch = Stopwatch(self.deadline)
-        try:
-            yield
-        finally:
-            took, worked = watch.read()
-            self.longest_wait = max(self.longest_wait, took - worked)
-            self.timing_ms[stage] = self.timing_ms.get(stage, 0.0) + 1e3 * took
+    def reserved(self, gears: int, length: float) -> float:
+        """Return the time [s] reserved for timing a path of this many gears and this length [m], and for the proof."""
+        return max(min(_RESERVED_LEAST * self.budget, _RESERVED_RANGE[1]), self._expected(gears, length))
+
+    def _expected(self, gears: int, length: float) -> float:
+        """Return the expected time [s] of a timing and its proof; a counted time does not depend on earlier calls."""
+        pace, measured = _COUNTED_PACE, _PACES.get(type(self.timing), ())
+        if clock_name() != "counted":
+            pace = sorted(measured)[3 * (len(measured) - 1) // 4] if measured else 1.0
+        most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
+        return min(pace * _predicted(gears, length), most)
+
+    def timed(self, stage: str) -> StageTimer:
+        """Return a context that adds its duration to the time of `stage`."""
+        return StageTimer(self, stage)
 
     def is_late(self) -> bool:
         """Whether the remaining time is too short for another guess."""
@@ -328,7 +261,8 @@ class Refinement:
     ) -> SmoothingResult:
         """Smooth a guess without the straight line of length `kept` [m] at its beginning."""
         smoother, left, problem, earlier = self.smoother, self.deadline.left, self.problem, self.warm_start
-        if left <= self.reserve:
+        reserve = self.reserved(len(raw.segments), raw.length)
+        if left <= reserve:
             raise SmootherTimedOut(ran_out_of_time("smoothing", self.budget))
         if kept > 0.0:
             gear = int(raw.segments[0].direction)
@@ -339,7 +273,7 @@ class Refinement:
                 try:
                     result = smoother.smooth(
                         raw,
-                        min(left - self.reserve, most),
+                        min(left - reserve, most),
                         problem=problem,
                         warm_start=earlier if begun is None else begun,
                         cancel_checker=self.cancelled,
@@ -399,12 +333,13 @@ class Refinement:
 
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
-        if allowance <= 0.0:
+        if allowance <= _HOPELESS * self._expected(len(path.segments), path.length):
             raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
         wait = self.problem.start_wait(path)
         waits: dict[str, Any] = {"start_wait": wait} if wait > 0.0 else {}
+        watch = Stopwatch(self.deadline)
         with at_work(method, self.problem, self.cancelled):
             result = method.parameterize(
                 path,
@@ -418,6 +353,9 @@ class Refinement:
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")
+        pace = watch.read()[1] / _predicted(len(path.segments), path.length)
+        pace *= _UNFINISHED if result.status is TimingStatus.TIMED_OUT else 1.0
+        _PACES.setdefault(type(method), collections.deque(maxlen=_REMEMBERED)).append(pace)
         returned(result.report, TimingReport, method, "the report of its result")
         return result
 
@@ -438,6 +376,23 @@ class Refinement:
             if self.deadline.passed():
                 raise late(ran_out_of_time(f"the proof of the {what}", self.budget), where=where)
         raise CertificationFailed(f"the {what} is not certified: {verdict.reason}", where=where)
+
+
+class StageTimer:
+    """Context that adds its duration to the time of a stage; see `Refinement.timed`."""
+
+    __slots__ = ("_stage", "_watch", "_work")
+
+    def __init__(self, work: Refinement, stage: str) -> None:
+        self._work, self._stage = work, stage
+
+    def __enter__(self) -> None:
+        self._watch = Stopwatch(self._work.deadline)
+
+    def __exit__(self, *_: object) -> None:
+        work, (took, worked) = self._work, self._watch.read()
+        work.longest_wait = max(work.longest_wait, took - worked)
+        work.timing_ms[self._stage] = work.timing_ms.get(self._stage, 0.0) + 1e3 * took
 
 
 @contextlib.contextmanager
@@ -517,55 +472,3 @@ def plain(path: Path, plugin: Plugin, frame: str) -> Path:
         return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
     except InvalidPath as error:
         raise PluginError(f"{type(plugin).__name__} returned a {error}") from error
-
-
-def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    """Yield guesses with one fewer stop: first with two segments of one gear joined, then with one gear left out.
-
-    Searches over arcs often return short gears that can be left out. Every stop takes time, while the smoother can
-    remove a jump of the curvature. Shorter gears are left out first. A gear between two gears in the other direction is
-    left out together with the stretch that would then be driven twice, and the smoother closes the gap. The first gear
-    can be left out if the second gear may begin at the start. Turns in place are never left out.
-    """
-    segments = path.segments
-    for k, (one, following) in enumerate(itertools.pairwise(segments)):
-        if one.direction == following.direction and not isinstance(one, TurnSegment):
-            poses = np.concatenate((_poses(one, 0.0, one.length)[:-1], _poses(following, 0.0, following.length)))
-            yield _joined(path, segments[:k], poses, following, segments[k + 2 :])
-    yield from _without_a_gear(path, problem)
-
-
-def _without_a_gear(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    segments = path.segments
-    longest = _LONGEST_LEFT_OUT * problem.robot.footprint.length
-    rows = [k for k, one in enumerate(segments[:-1]) if not isinstance(one, TurnSegment) and one.length <= longest]
-    for k in sorted(rows, key=lambda row: float(segments[row].length)):
-        following = segments[k + 1]
-        if following.direction != -segments[k].direction:
-            continue
-        if k == 0:
-            after = _poses(following, segments[0].length, following.length)
-            if problem.start_speed * following.direction >= 0.0 and len(after):
-                first = np.concatenate((problem.start.as_array()[None], after))
-                yield _joined(path, (), first, following, segments[2:])
-        elif segments[k - 1].direction == following.direction:
-            left_out, previous = segments[k].length, segments[k - 1]
-            before = _poses(previous, 0.0, previous.length - left_out)
-            after = _poses(following, left_out, following.length)
-            if len(before) and len(after):
-                yield _joined(path, segments[: k - 1], np.concatenate((before, after)), following, segments[k + 2 :])
-
-
-def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
-    """Return poses of a segment between two arc lengths [m], empty for an empty interval. Shape (n, 3)."""
-    if end <= begin:
-        return np.zeros((0, 3))
-    return segment.poses_at(np.linspace(begin, end, 2 + int((end - begin) / _JOINED_SPACING)))
-
-
-def _joined(
-    path: Path, before: tuple[Segment, ...], poses: FloatArray, gear: Segment, after: tuple[Segment, ...]
-) -> Path:
-    """Return the path of `before`, a polyline through `poses` in the direction of `gear`, and `after`."""
-    poses = np.column_stack((poses[:, :2], np.unwrap(poses[:, 2])))
-    return Path((*before, PolylineSegment(poses, gear.direction), *after), path.frame)

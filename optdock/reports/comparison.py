@@ -14,8 +14,9 @@ import numpy as np
 from optdock.errors import FailedToTimePath, OptdockError
 from optdock.geometry.pose import normalize_angle, wrap_angles
 from optdock.model.path import PolylineSegment
+from optdock.planning.guess_edits import FEWER_CUSPS
 from optdock.planning.plan import PartialPlan, tightest_place
-from optdock.planning.refinement import FEWER_CUSPS, Cancellation, at_work, plain, returned
+from optdock.planning.refinement import Cancellation, at_work, plain, returned
 from optdock.plugins.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.plugins.registry import plugin_from, timed_by
 from optdock.reports.report import table

@@ -66,10 +66,10 @@ __all__ = [
 LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are omitted
 # Reserves of a deadline, as multiples of the time for evaluating the curvature of the path, which depends on path and
-# machine: on the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the fastest
-# proof 4. Tuned with `experiments/benchmarks/timing_proofs.py`.
-_WINDOWS_AND_PROOF = 10.0  # with less time left the search for a faster motion ends
-_PROOF = 4.0  # with less time left no motion is started
+# machine: on easy scenes, with kernels in C, the last method of the search takes 4, the windowed method 3 and the
+# proof 2.7 in the median.
+_WINDOWS_AND_PROOF = 6.0  # with less time left the search for a faster motion ends
+_PROOF = 2.5  # with less time left no motion is started
 _REFUSAL = 0.02  # [s]: time for the refusal of an impossible request
 
 

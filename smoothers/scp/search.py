@@ -282,8 +282,10 @@ class IterationTimes:
         return not self.deadline.fits(self.iteration)
 
     def reserve(self, *, has_candidate: bool) -> float:
-        """Return the time [s] reserved for the certificate of the candidate."""
-        return self._settings.certificate_reserve * self.certificate if has_candidate else 0.0
+        """Return the time [s] reserved for the certificate of the candidate, with a margin for later stages."""
+        share, most = self._settings.margin
+        margin = min(share * self.deadline.seconds, most)
+        return self._settings.certificate_reserve * self.certificate + margin if has_candidate else 0.0
 
     def is_late(self) -> bool:
         """Whether a running certificate must be abandoned because it is too late."""
@@ -490,8 +492,14 @@ class Solver:
             before = self.deadline.elapsed
 
     def _must_settle(self) -> bool:
-        """Whether the current step must be abandoned so that the candidate can be certified in time."""
-        return not self.deadline.fits(self.times.reserve(has_candidate=self._candidate is not None))
+        """Whether the current step must be abandoned because of the time for a certificate."""
+        return not self.deadline.fits(self._reserve)
+
+    @property
+    def _reserve(self) -> float:
+        """Time [s] for the certificate of the candidate, or of an iterate that is better than the incumbent."""
+        is_certificate_due = self._candidate is not None or self.outcome.incumbent is not None
+        return self.times.reserve(has_candidate=is_certificate_due)
 
     def _consider(self, iterate: Iterate) -> None:
         best = self._candidate.cost if self._candidate is not None else math.inf
@@ -502,11 +510,11 @@ class Solver:
     def _enough(self, nlp: NonlinearProgram) -> bool:
         """Certify the candidate when little time remains, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
-        short = not self.deadline.fits(step + self.times.reserve(has_candidate=self._candidate is not None))
+        short = not self.deadline.fits(step + self._reserve)
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
-            short = not self.deadline.fits(step)
+            short = not self.deadline.fits(step + self._reserve)
         found = first_only and self.outcome.incumbent is not None
         self.outcome.converged = self.outcome.converged or found
         return short or found

@@ -227,6 +227,7 @@ class AnytimeSettings:
     longest_fades: float = 0.8  # of the longest iteration so far
     iteration_reserve: float = 1.1
     certificate_reserve: float = 1.2
+    margin: tuple[float, float] = (0.15, 0.001)  # share of the time limit, and its most [s], after the only certificate
     grace: float = 0.0015  # [s]: by which the predicted end of the only certificate may be late
     latest: float = 0.0005  # [s] after the time limit: a certificate is abandoned
     pace_range: tuple[float, float] = (0.5, 4.0)  # of the measured speed; values beyond are disturbances

@@ -18,8 +18,8 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.segments import ClothoidSegment, Direction, PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planning.guess_edits import stopping_at_bends
 from optdock.planning.pipeline import plan_dock
-from optdock.planning.refinement import stopping_at_bends
 from optdock.plugins.interfaces import GlobalPlanner, Smoother, never_cancelled
 from optdock.plugins.outcomes import Guess
 from optdock.verification import certify_motion

@@ -106,8 +106,7 @@ def test_a_time_out_names_the_option_that_gives_more():
 
 
 def test_a_budget_without_time_for_smoothing_is_a_time_out(monkeypatch):
-    monkeypatch.setattr(refinement, "_RESERVED_LEAST", 60.0)
-    monkeypatch.setattr(refinement, "_RESERVED_MOST", 60.0)
+    monkeypatch.setattr(refinement.Refinement, "reserved", lambda work, gears, length: 60.0)
     with pytest.raises(SmootherTimedOut, match="^smoothing ran out of time; raise time_budget, which is 30 s$"):
         plan_dock(instance("open_s", 0).problem, time_budget=30.0, planner="DockPlanner")
 

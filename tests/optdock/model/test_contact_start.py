@@ -16,7 +16,7 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.segments import ClothoidSegment
-from optdock.planning.refinement import begun_straight, straight_along_contact
+from optdock.planning.guess_edits import begun_straight, straight_along_contact
 
 CAR = Robot(Footprint.rectangle(0.7, 0.2, 0.6), MotionLimits(max_curvature=1.2, max_curvature_rate=6.0))
 FRAME = Pose2(3.0, -2.0, 0.7)

@@ -17,8 +17,8 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.segments import PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import advance
+from optdock.planning.guess_edits import fewer_cusps
 from optdock.planning.pipeline import plan_dock
-from optdock.planning.refinement import fewer_cusps
 from optdock.plugins.interfaces import GlobalPlanner
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
