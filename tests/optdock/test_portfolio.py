@@ -403,6 +403,20 @@ def test_guess_through_obstacles_is_put_off_and_tried_at_the_end(clock):
     assert "% of its poses overlap obstacles" in reasons[0]
 
 
+def test_guess_that_leaves_the_start_backwards_is_put_off_unless_there_are_no_others():
+    task = problem((1.0, 1.0, math.pi))
+    smoother = Recording(FailedToSmoothPath("no"), FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath) as caught:
+        plan_dock(task, time_budget=BUDGET, planner=["DockPlanner", Several(bent(0.5))], smoother=smoother)
+    assert np.array_equal(smoother.given[0].segments[0].poses, bent(0.5).segments[0].poses)
+    assert len(smoother.given) == 2
+    assert caught.value.partial.tried[0].reason == "postponed: it leaves the start in the opposite direction"
+    only = Recording(FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(task, time_budget=BUDGET, planner="DockPlanner", smoother=only)
+    assert len(only.given) == 1
+
+
 def test_guess_through_a_small_obstacle_is_smoothed_briefly_and_continued_at_the_end(clock):
     """Along less than 2.5 robot lengths: 45 ms first, and all that is left once there are no others."""
     task = problem((0.2, 0.3, 0.3), obstacles=[[[1.9, 0.2], [2.1, 0.2], [2.1, 1.0], [1.9, 1.0]]])

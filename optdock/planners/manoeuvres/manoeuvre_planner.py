@@ -32,7 +32,7 @@ from optdock.planners.manoeuvres.end_trees import (
 )
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
-from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
+from optdock.planners.manoeuvres.price import ends_cost, gear_changes, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.roadmap import roadmap_ways
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
@@ -62,6 +62,7 @@ _DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 300
 _TURN_TRIES = 4  # most guesses of turns and straight lines
 _STAGED = 4  # most straight runs out of a dock along a wall at whose ends arcs begin
 _TRIES = 4  # most different guesses per stage
+_SLOW_STOP = 0.6  # [s] by which plans exceed the least price per stop, 0.4 to 1 s in 36 parking slots
 _WORDS_PER_PAIR = 12  # words from the start to each staging pose
 _SAMPLING = 40.0  # poses of a path per turning radius
 _PLACES = readonly(np.linspace(0.0, 1.0, 17))  # shares of manoeuvres at which they are compared
@@ -307,6 +308,8 @@ class Stages:
         radius += self.problem.path_clearance.required
         wave = self.space.wavefront(start[:2], radius)
         for effort in self._efforts[:2]:
+            if not self._is_worth_a_search():
+                return
             exits, (tree, rows) = self.trees.exits(effort).nodes, self.trees.staging(effort)
             entries = TreeNodes(tree, rows[rows > 0])
             if entries.rows.size == 0:
@@ -375,7 +378,8 @@ class Stages:
         offered = 0
         for arcs in found:
             self._poll()
-            is_cheaper = least_prices(arcs.lengths, self.problem)[0] < self._better_than()
+            expected = least_prices(arcs.lengths, self.problem)[0] + _SLOW_STOP * gear_changes(arcs.lengths)[0]
+            is_cheaper = expected < self._better_than()
             if not is_cheaper or not self._is_another_way(arcs):
                 continue
             offered += 1

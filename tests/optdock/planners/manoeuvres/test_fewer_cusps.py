@@ -1,4 +1,4 @@
-"""A gear less: ends and the other gears stay, the shortest goes first, and a plan gets cheaper by it."""
+"""A gear less: ends and the other gears stay, the smallest gap goes first, and a plan gets cheaper by it."""
 
 import itertools
 
@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from optdock.errors import FailedToSmoothPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.clearance_rule import ClearanceRule
@@ -20,6 +21,7 @@ from optdock.planners.manoeuvres.arcs import advance
 from optdock.planning.guess_edits import fewer_cusps
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import GlobalPlanner
+from smoothers.casadi_smoother import CasadiSmoother
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS, turns_in_place=True)
@@ -60,11 +62,25 @@ def test_ends_stay_and_gears_alternate(gears, first):
         assert simpler.length <= sum(lengths) + 0.5
 
 
-def test_shortest_gear_is_left_out_first():
-    path = driven((1.0, 0.0), (-0.3, 0.2), (1.0, 0.0), (-0.02, 0.5), (2.0, 0.0))
+def test_gear_with_the_smallest_gap_is_left_out_first():
+    path = driven((1.0, 0.0), (-0.2, 0.2), (1.0, 0.0), (-0.05, 1.5), (2.0, 0.0))
     first, second = itertools.islice(fewer_cusps(path, asked(path)), 2)
-    assert [segment.length for segment in first.segments] == pytest.approx([1.0, 0.3, 2.98], abs=0.03)
-    assert [segment.length for segment in second.segments] == pytest.approx([1.7, 0.02, 2.0], abs=0.03)
+    assert [segment.length for segment in first.segments] == pytest.approx([1.8, 0.05, 2.0], abs=0.03)
+    assert [segment.length for segment in second.segments] == pytest.approx([1.0, 0.2, 2.95], abs=0.03)
+
+
+def test_gap_that_the_other_strokes_cannot_make_up_for_is_not_left():
+    """Without the stroke of 6 cm the heading lacks 0.25 rad; at full lock 0.28 m of strokes turn by 0.42 rad."""
+    for more, found in (((), False), (((0.2, 1.4), (-0.2, -1.4)), True)):
+        path = driven((1.0, 0.0), (-0.2, -1.4), (0.06, 1.4), (-0.2, -1.4), *more)
+        assert any(True for _ in fewer_cusps(path, asked(path))) is found
+
+
+def test_detours_are_short_and_between_long_gears():
+    path = driven((1.0, 0.0), (-0.2, 0.2), (1.0, 0.0), (-0.2, 0.2), (0.25, 0.0), (-0.2, 0.0))
+    detour, *rest = fewer_cusps(path, asked(path), only_detours=True)
+    assert rest == []
+    assert [segment.length for segment in detour.segments] == pytest.approx([1.8, 0.2, 0.25, 0.2], abs=0.03)
 
 
 def test_gears_that_are_long_or_beside_a_turn_stay():
@@ -91,18 +107,43 @@ def test_second_gear_shorter_than_the_first_cannot_go_on_alone():
 class Offers(GlobalPlanner):
     """Offers one path."""
 
-    path = driven((1.0, 0.4), (-0.03, 0.4), (2.0, -0.2))
+    def __init__(self, path):
+        super().__init__()
+        self.path = path
 
     def create_plan(self, start, goal, cancel_checker=None):
         return self.path
 
 
-def test_plan_has_no_unnecessary_gear_of_centimetres():
-    plan = plan_dock(asked(Offers.path), planner=Offers(), time_budget=20.0)
+@pytest.mark.parametrize("second", [0.08, 2.0])
+def test_plan_has_no_unnecessary_gear_of_centimetres(second):
+    """A detour is left out of the guess, another gear of the plan."""
+    path = driven((1.0, 0.4), (-0.03, 0.4), (second, -0.2))
+    plan = plan_dock(asked(path), planner=Offers(path), time_budget=20.0)
+    assert not plan.path.cusps
+    if second == 2.0:
+        (only,) = plan.tried
+        assert len(only.guess.segments) == 1
+        return
     offered, simpler = plan.tried
     assert simpler.stage == "fewer cusps"
-    assert not plan.path.cusps
     assert plan.price == simpler.price < offered.price - 2.0
+
+
+def test_plan_without_gears_is_given_up_after_two_failures(monkeypatch):
+    smooth, given = CasadiSmoother.smooth, []
+
+    def failing(self, raw, *args, **kwargs):
+        given.append(raw)
+        if len(given) > 1:
+            raise FailedToSmoothPath("no")
+        return smooth(self, raw, *args, **kwargs)
+
+    monkeypatch.setattr(CasadiSmoother, "smooth", failing)
+    path = driven((1.5, 0.2), *(((-0.4, 0.0), (0.6, 0.0)) * 4), (-0.4, 0.0))
+    plan = plan_dock(asked(path), guesses=[path], planner=Offers(path), time_budget=20.0)
+    assert [attempt.stage for attempt in plan.tried[:3]] == ["given", "fewer cusps", "fewer cusps"]
+    assert [attempt.stage for attempt in plan.tried].count("fewer cusps") == 2
 
 
 def test_stop_within_a_gear_is_left_out_before_a_gear_is():
