@@ -22,17 +22,18 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import readonly
-from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.clothoid import ClothoidSpline, subdivided
 from optdock.geometry.pose import Pose2, normalize_angle, transform_points
 from optdock.geometry.separation import separation
+from optdock.kernels import Kernel, twin_of
 from optdock.model.path import Path
 from optdock.model.segments import ClothoidSegment, TurnSegment
-from optdock.quadratic_program import UNBOUNDED, DenseProgram
+from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.separation import ConvexBody, ConvexPieces
     from optdock.model.limits import MotionLimits
     from optdock.model.problem import DockingProblem
@@ -50,50 +51,87 @@ _LEAST_PIECES = 12  # of a gear
 _SHORTEST_PIECE = 0.01  # [m]: shorter pieces are not divided
 _LENGTH_PRICE = 0.5  # of a relative change of length; a change of curvature by its limit over 1 m costs `_BEND_PRICE`
 _BEND_PRICE = 0.3
-_ALL = 1_000_000  # gears
 _USED = 0.999  # share of the bounds that the program uses
 _SLOW = 0.3  # least speed in a bend as share of the speed at the start
 _USED_BY_BENDS = 0.8  # share of the yaw acceleration for bends; the rest is for acceleration in them
 _LEAST_TURN = 1e-3  # [rad]: smaller turns in place vanish
 _MOST_STRETCH = 0.3  # largest relative change of length per step, for the validity of the linear model
 _USUAL_SWING = 0.25  # [m]: length over which the curvature changes by its bound, without a limit of its rate
-# Three Gauss points on [0, 1]: exact for a hat function times a quadratic.
+# Three Gauss points on [0, 1]: exact for a hat function times a quadratic. The positions at these points and at the end
+# of the piece are integrated from one to the next by four Gauss points on [-1, 1].
 _NODES, _WEIGHTS = (readonly(part) for part in np.array(np.polynomial.legendre.leggauss(3)) / 2.0 + [[0.5], [0.0]])
+_BORDERS = readonly(np.append(_NODES, 1.0))
+_PLACES, _RULE = map(readonly, np.polynomial.legendre.leggauss(4))
 
 
-class _GearPiece(NamedTuple):
-    """One gear, or one turn in place, to be deformed.
+class _Gears(NamedTuple):
+    """Gears and turns in place of a path that is deformed, m in number, with n knots.
 
-    `knots`: knots of the free part, Shape (n,) [m], first 0. `curvature`: curvature at the knots, Shape (n,) [1/m].
-    `tail`: length of the straight line after the free part [m]. `sign`: 1, -1, or 0 for a turn in place. `turn`: angle
-    of a turn in place [rad].
+    The variables of a gear are its curvatures at the knots and the logarithm of its length, that of a turn in place is
+    its angle: knot j of gear i has variable i + j, and the last variable of gear i is `first[i + 1] + i`.
+
+    `signs`: 1, -1, or 0 for a turn in place, Shape (m,). `tails`: lengths of the straight lines at the ends of the
+    gears, Shape (m,) [m]. `turns`: angles of the turns in place, Shape (m,) [rad]. `first`: index of the first knot of
+    each gear, and n, Shape (m + 1,). `knots`: knots of the gears before their straight lines, from 0 in each gear,
+    Shape (n,) [m]. `curvature`: Shape (n,) [1/m].
     """
 
+    signs: FloatArray
+    tails: FloatArray
+    turns: FloatArray
+    first: IntArray
     knots: FloatArray
     curvature: FloatArray
-    tail: float
-    sign: int
-    turn: float = 0.0
 
-    @property
-    def size(self) -> int:
-        """Number of variables: the curvatures and the length, or the angle of the turn."""
-        return self.curvature.size + 1 if self.sign else 1
+    @classmethod
+    def of(cls, path: Path, final_straight: float) -> _Gears | None:
+        """Return the gears with enough knots, or None if a segment has a different class or is too short."""
+        signs, tails, turns, knots, curvature = (
+            list[float](),
+            list[float](),
+            list[float](),
+            [np.zeros(0)],
+            [np.zeros(0)],
+        )
+        for segment in path.segments:
+            is_turn = isinstance(segment, TurnSegment)
+            tails.append(final_straight if segment is path.segments[-1] and not is_turn else 0.0)
+            if isinstance(segment, TurnSegment):
+                signs.append(0.0)
+                turns.append(segment.turn)
+                continue
+            free = segment.length - tails[-1]
+            if not isinstance(segment, ClothoidSegment) or free <= 2.0 * _SHORTEST_PIECE:
+                return None
+            signs.append(float(segment.spline.sign))
+            turns.append(0.0)
+            knots.append(_refined(segment.knots, free))
+            curvature.append(segment.curvature_at(knots[-1]))
+        counts = np.zeros(len(signs) + 1, dtype=np.int64)
+        counts[1:][np.array(signs) != 0.0] = [one.size for one in knots[1:]]
+        rows = np.array((signs, tails, turns))
+        return cls(rows[0], rows[1], rows[2], counts.cumsum(), np.concatenate(knots), np.concatenate(curvature))
 
-    def changed(self, change: FloatArray) -> _GearPiece:
-        """Return the gear with changed variables; the last variable is the change of the logarithm of the length."""
-        if self.sign == 0:
-            return self._replace(turn=self.turn + float(change[0]))
-        return self._replace(knots=self.knots * math.exp(float(change[-1])), curvature=self.curvature + change[:-1])
-
-    def segment(self, start: Pose2) -> Segment:
-        """Return the exact curve that begins at a pose."""
-        if self.sign == 0:
-            return TurnSegment(start, self.turn)
-        knots, curvature = self.knots, self.curvature
-        if self.tail > 0.0:
-            knots, curvature = np.append(knots, knots[-1] + self.tail), np.append(curvature, 0.0)
-        return ClothoidSegment(ClothoidSpline(start, knots, curvature, self.sign))
+    def path(self, start: Pose2, frame: str) -> Path | None:
+        """Return the exact curves that begin at a pose, or None if a curve cannot be evaluated."""
+        segments: list[Segment] = []
+        for i, (sign, tail) in enumerate(zip(self.signs.tolist(), self.tails.tolist(), strict=True)):
+            if sign == 0.0:
+                turn = TurnSegment(start, float(self.turns[i]))
+                segments.append(turn)
+                start = turn.end
+                continue
+            own = slice(*self.first[i : i + 2].tolist())
+            knots, curvature = self.knots[own], self.curvature[own]
+            if tail > 0.0:
+                knots, curvature = np.append(knots, knots[-1] + tail), np.append(curvature, 0.0)
+            try:
+                spline = ClothoidSpline(start, knots, curvature, int(sign))
+            except InvalidValue:
+                return None
+            segments.append(ClothoidSegment(spline))
+            start = spline.end
+        return Path(tuple(segments), frame)
 
 
 class Push(NamedTuple):
@@ -115,9 +153,9 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,), and missing clearance [m]."""
+    """Nearest point of the robot, unit normal away from the obstacle, Shape (2,), and missing clearance [m]."""
 
-    place: FloatArray
+    place: _Place
     normal: FloatArray
     short: float
 
@@ -149,43 +187,24 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
             and steering rate bound the curvature rate.
         pushes: Required distances from obstacles.
     """
-    gears = _gears(path, final_straight)
+    gears = _Gears.of(path, final_straight)
     if gears is None:
         return None
-    program = _Program(gears, limits, speed, steers=steers)
+    program, begin = _Program(gears, limits, speed, len(pushes), steers=steers), start.as_array()
     for _ in range(_STEPS):
-        driven = _driven(gears, start)
-        if driven is None:
+        if program.has_vanished(gears):
             return None
-        segments, end = driven
-        gap = np.array([goal.x - end[0], goal.y - end[1], normalize_angle(goal.yaw - float(end[2]))])
-        contacts = [_contact(push, segments) for push in pushes]
+        drive = _driven(gears, begin)
+        (x, y, yaw), contacts = drive.borders[-1].tolist(), [_contact(push, gears, drive) for push in pushes]
+        gap = goal.x - x, goal.y - y, normalize_angle(goal.yaw - yaw)
         short = max((contact.short for contact in contacts), default=0.0)
-        if float(np.abs(gap).max()) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
-            return Path(segments, path.frame)
-        change = program.least_change(gears, driven, gap, list(zip(pushes, contacts, strict=True)))
-        if change is None:
+        if max(map(abs, gap)) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
+            return gears.path(start, path.frame)
+        changed = program.with_least_change(gears, drive, gap, contacts)
+        if changed is None:
             return None
-        gears = [gear.changed(part) for gear, part in zip(gears, change, strict=True)]
+        gears = changed
     return None
-
-
-def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
-    """Return the gears with enough knots, or None if a segment has a different class or is too short."""
-    gears = []
-    for segment in path.segments:
-        if isinstance(segment, TurnSegment):
-            gears.append(_GearPiece(segment.knots, np.zeros(0), 0.0, 0, segment.turn))
-        elif isinstance(segment, ClothoidSegment):
-            tail = final_straight if segment is path.segments[-1] else 0.0
-            free = segment.length - tail
-            if free <= 2.0 * _SHORTEST_PIECE:
-                return None
-            knots = _refined(segment.knots, free)
-            gears.append(_GearPiece(knots, segment.curvature_at(knots), tail, segment.spline.sign))
-        else:
-            return None
-    return gears
 
 
 def _refined(knots: FloatArray, length: float) -> FloatArray:
@@ -196,49 +215,157 @@ def _refined(knots: FloatArray, length: float) -> FloatArray:
     ends = np.concatenate(([0.0], kept, [length]))
     steps = np.diff(ends)
     parts = np.ceil(steps / max(length / _LEAST_PIECES, _SHORTEST_PIECE)).astype(np.int64)
-    pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(ends[:-1], ends[1:], parts, strict=True)]
-    return np.append(np.concatenate(pieces), length)
+    return subdivided(ends, parts)
 
 
-def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[tuple[Segment, ...], FloatArray] | None:
-    """Return the exact curves that begin at a pose, and their last pose, Shape (3,).
+class _Drive(NamedTuple):
+    """Poses of gears: at their borders, Shape (m + 1, 3), and at the knots, Shape (n, 3).
 
-    Returns None if a turn vanishes or a curve cannot be evaluated.
+    `at_nodes`: positions at the Gauss nodes of the piece behind each knot, Shape (n, 3, 2) [m]; 0 behind the last knot
+    of a gear.
     """
-    segments: list[Segment] = []
-    end = start.as_array()
-    for gear in gears:
-        if gear.sign == 0 and abs(gear.turn) < _LEAST_TURN:
-            return None
-        try:
-            segments.append(gear.segment(start))
-        except InvalidValue:
-            return None
-        end = segments[-1].poses_at(segments[-1].length)[0]
-        start = Pose2.from_sequence(end)
-    return tuple(segments), end
+
+    borders: FloatArray
+    at_knots: FloatArray
+    at_nodes: FloatArray
 
 
-def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
+_POSES = Kernel("optdock_deformed_poses", sizes=2, numbers=0)
+_MOVES = Kernel("optdock_deformation_moves", sizes=3, numbers=6)
+
+
+def _driven_native(gears: _Gears, start: FloatArray) -> _Drive:
+    (m, n), rule = (gears.signs.size, gears.knots.size), _PLACES.size
+    drive = _Drive(np.empty((m + 1, 3)), np.empty((n, 3)), np.empty((n, 3, 2)))
+    arrays = (*zip(gears, (m, m, m, m + 1, n, n), strict=True), (start, 3), (_BORDERS, 4))
+    rules = (_PLACES, rule), (_RULE, rule)
+    _POSES((m, n), (), (*arrays, *rules, *zip(drive, (3 * m + 3, 3 * n, 6 * n), strict=True)))
+    return drive
+
+
+@twin_of(_driven_native)
+def _driven(gears: _Gears, start: FloatArray) -> _Drive:
+    """Return the poses of gears that begin at a pose, Shape (3,)."""
+    m, n = gears.signs.size, gears.knots.size
+    borders, at_knots, at_nodes = np.empty((m + 1, 3)), np.empty((n, 3)), np.zeros((n, 3, 2))
+    pose = start.copy()
+    for i, (sign, tail, turn) in enumerate(zip(gears.signs, gears.tails, gears.turns, strict=True)):
+        borders[i] = pose
+        pose[2] += turn
+        first, last = gears.first[i : i + 2]
+        if first == last:
+            continue
+        knots, curvature = gears.knots[first:last], gears.curvature[first:last]
+        step = np.diff(knots)
+        yaw = np.concatenate(([0.0], 0.5 * step * (curvature[:-1] + curvature[1:])))
+        yaw[0] = pose[2]
+        yaw = yaw.cumsum()
+        # Each piece is integrated from node to node.
+        ends = step[:, None] * np.concatenate(([0.0], _BORDERS))
+        half, middle = 0.5 * np.diff(ends, axis=1), 0.5 * (ends[:, :-1] + ends[:, 1:])
+        u = middle[..., None] + half[..., None] * _PLACES
+        slope = 0.5 * (np.diff(curvature) / step)[:, None, None]
+        heading = yaw[:-1, None, None] + u * (curvature[:-1, None, None] + slope * u)
+        moved = np.stack([(sign * half * (part(heading) @ _RULE)).ravel() for part in (np.cos, np.sin)], axis=1)
+        reached = np.concatenate((pose[None, :2], moved)).cumsum(axis=0)
+        at_knots[first:last] = np.column_stack((reached[:: _BORDERS.size], yaw))
+        at_nodes[first : last - 1] = reached[1:].reshape(-1, _BORDERS.size, 2)[:, :-1]
+        pose = at_knots[last - 1] + sign * tail * np.array([math.cos(yaw[-1]), math.sin(yaw[-1]), 0.0])
+    borders[m] = pose
+    return _Drive(borders, at_knots, at_nodes)
+
+
+class _Place(NamedTuple):
+    """A point of the robot, Shape (2,) [m], at a place on the path.
+
+    `gear`: index of the gear. `share`: driven share of the gear. `driven`: distance driven in it [m]. `robot`: position
+    of the robot, at most at the last knot of the gear [m].
+    """
+
+    point: tuple[float, float]
+    gear: int
+    share: float
+    driven: float
+    robot: tuple[float, float]
+
+
+def _moves_native(gears: _Gears, drive: _Drive, place: _Place) -> FloatArray:
+    m, n = gears.signs.size, gears.knots.size
+    found = np.empty((3, m + n))
+    arrays = (
+        *((gears.signs, m), (gears.first, m + 1), (gears.knots, n), (gears.curvature, n)),
+        *zip(drive, (3 * m + 3, 3 * n, 6 * n), strict=True),
+        *((_BORDERS, 4), (_WEIGHTS, 3), (found, found.size)),
+    )
+    _MOVES((m, n, place.gear), (*place.point, place.share, place.driven, *place.robot), arrays)
+    return found
+
+
+@twin_of(_moves_native)
+def _moves(gears: _Gears, drive: _Drive, place: _Place) -> FloatArray:
+    """Return the derivatives of a point of the robot by all variables (D3), Shape (3, m + n)."""
+    found, (x, y) = np.zeros((3, gears.signs.size + gears.knots.size)), place.point
+    for i in range(place.gear + 1):
+        (first, last), border, is_last = gears.first[i : i + 2], drive.borders[i], i == place.gear
+        if gears.signs[i] == 0.0:
+            found[:, last + i] = (place.share if is_last else 1.0) * np.array([border[1] - y, x - border[0], 1.0])
+            continue
+        knots, at = gears.knots[first:last], drive.at_nodes[first : last - 1]
+        step = np.diff(knots)[:, None]
+        weights = step * _WEIGHTS
+        if is_last:
+            weights = weights * (knots[:-1, None] + step * _NODES <= place.driven)
+        turned = weights * np.stack((at[..., 1] - y, x - at[..., 0], np.ones(weights.shape)))
+        bends = found[:, first + i : last + i]
+        bends[:, :-1] += turned @ (1.0 - _NODES)
+        bends[:, 1:] += turned @ _NODES
+        # By the logarithm of the length, the turns and the travelled distance grow in proportion.
+        found[:, last + i] = bends @ gears.curvature[first:last]
+        found[:2, last + i] += (place.robot if is_last else drive.at_knots[last - 1, :2]) - border[:2]
+    return found
+
+
+def _pose_at(gears: _Gears, drive: _Drive, gear: int, share: float) -> tuple[FloatArray, float]:
+    """Return the pose at a share of the length of a gear, Shape (3,), and the distance driven in the gear [m]."""
+    if gears.signs[gear] == 0.0:
+        return drive.borders[gear] + np.array([0.0, 0.0, share * gears.turns[gear]]), 0.0
+    first, last = gears.first[gear : gear + 2].tolist()
+    driven = share * float(gears.knots[last - 1] + gears.tails[gear])
+    row = int(np.searchsorted(gears.knots[first:last], driven, side="right")) + first - 1
+    pose, sign, step = drive.at_knots[row], float(gears.signs[gear]), driven - float(gears.knots[row])
+    bend, slope = float(gears.curvature[row]), 0.0
+    if row < last - 1:
+        slope = (float(gears.curvature[row + 1]) - bend) / float(gears.knots[row + 1] - gears.knots[row])
+    u = 0.5 * step * (1.0 + _PLACES)
+    heading = pose[2] + u * (bend + 0.5 * u * slope)
+    along, across = (0.5 * sign * step * float(part(heading) @ _RULE) for part in (np.cos, np.sin))
+    return pose + np.array([along, across, step * (bend + 0.5 * step * slope)]), driven
+
+
+def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
     """Return the contact of a push on the current path."""
-    segment = segments[push.gear]
-    pose = segment.poses_at(push.share * segment.length)
-    found = separation(push.body, pose, push.piece)
+    pose, driven = _pose_at(gears, drive, push.gear, push.share)
+    found = separation(push.body, pose[None], push.piece)
     normal = found.axis[0]
-    corners = transform_points(pose, push.body.vertices)[0]
+    corners = transform_points(pose[None], push.body.vertices)[0]
     heights = corners @ normal
     nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
-    place = corners[nearest[0]]
+    point = corners[nearest[0]]
     if nearest.size > 1:  # an edge: the point next to the nearest corner of the obstacle
         outline = np.column_stack((push.piece.x[:, 0], push.piece.y[:, 0]))
-        corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - place
-        place = place + edge * min(max(float((corner - place) @ edge) / float(edge @ edge), 0.0), 1.0)
+        corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - point
+        point = point + edge * min(max(float((corner - point) @ edge) / float(edge @ edge), 0.0), 1.0)
+    last = int(gears.first[push.gear + 1]) - 1
+    robot = drive.at_knots[last] if gears.signs[push.gear] != 0.0 and driven > gears.knots[last] else pose
+    place = _Place(
+        (float(point[0]), float(point[1])), push.gear, push.share, driven, (float(robot[0]), float(robot[1]))
+    )
     return _Contact(place, normal, push.distance - float(found.distance[0]))
 
 
-def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> FloatArray:
+def _rates_at_speed(knots: FloatArray, limits: MotionLimits, speed: float) -> FloatArray:
     """Return the largest curvature rate over every piece of a gear while braking from `speed`, Shape (n - 1,)."""
-    left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
+    left = speed * speed - 2.0 * limits.max_deceleration * knots[:-1]
     speeds = np.sqrt(np.maximum(left, (_SLOW * speed) ** 2))
     turning = _USED_BY_BENDS * limits.max_yaw_acceleration / speeds**2
     if not math.isfinite(limits.max_steering_rate):
@@ -249,131 +376,105 @@ def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> Flo
 class _Program:
     """Quadratic program of a step, whose solution is the least change that closes the gap within the bounds."""
 
-    def __init__(self, gears: list[_GearPiece], limits: MotionLimits, speed: float, *, steers: bool) -> None:
-        sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)
+    def __init__(self, gears: _Gears, limits: MotionLimits, speed: float, pushes: int, *, steers: bool) -> None:
+        sharpest = float(np.abs(gears.curvature).max(initial=0.0))
         self.most = limits.max_curvature * _USED
         self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
         rate = limits.max_curvature_rate
         self.rate_scale = rate if math.isfinite(rate) else self.scale / _USUAL_SWING
-        self.starts = np.concatenate(([0], np.cumsum([gear.size for gear in gears])))
-        self.size = int(self.starts[-1])
-        most_rates = [np.full(gear.knots.size - 1 if gear.sign else 0, rate * _USED) for gear in gears]
-        if speed > 0.0 and gears[0].sign:
-            first = np.abs(np.diff(gears[0].curvature) / np.diff(gears[0].knots))
-            most_rates[0] = np.minimum(most_rates[0], np.maximum(_rates_at_speed(gears[0], limits, speed), first))
-        self.most_rates = np.concatenate(most_rates)
-        self.fixed: list[tuple[int, float]] = []
-        if steers and gears[0].sign:
-            self.fixed.append((0, float(gears[0].curvature[0])))
-        if gears[-1].sign:
-            self.fixed.append((self.size - 2, 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])))
-        shaped = [np.arange(gear.curvature.size) for gear in gears]
-        self.places = np.concatenate([b + at for b, at in zip(self.starts.tolist(), shaped, strict=False)]).astype(int)
-        self.program: DenseProgram | None = None  # built on first use, for all steps
-        self.price = np.zeros((self.size, self.size))
-        for begin, gear in zip(self.starts.tolist(), gears, strict=False):
-            self.price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
+        m, n = gears.signs.size, gears.knots.size
+        self.owner = np.arange(m).repeat(np.diff(gears.first))
+        self.bends, self.lengths = np.arange(n) + self.owner, gears.first[1:] + np.arange(m)
+        self.is_turn = gears.signs == 0.0
+        self.left = np.flatnonzero(self.owner[1:] == self.owner[:-1])  # first knots of the pieces
+        self.most_rates = np.full(self.left.size, rate * _USED)
+        if speed > 0.0 and gears.signs[0] != 0.0:
+            own = slice(0, int(gears.first[1]) - 1)
+            first, bound = (
+                np.abs(self._rates(gears))[own],
+                _rates_at_speed(gears.knots[: gears.first[1]], limits, speed),
+            )
+            self.most_rates[own] = np.minimum(self.most_rates[own], np.maximum(bound, first))
+        self.fixed = dict[int, float]()  # curvatures of knots
+        if steers and gears.signs[0] != 0.0:
+            self.fixed[0] = float(gears.curvature[0])
+        if gears.signs[-1] != 0.0:
+            self.fixed[n - 1] = 0.0 if gears.tails[-1] > 0.0 else float(gears.curvature[-1])
+        self.size, self.pushed = m + n, 3 + self.left.size
+        self.price, self.rows = self._price(gears), np.zeros((self.pushed + pushes, self.size))
+        self.bounds = np.full((2, self.size + len(self.rows)), UNBOUNDED)
+        self.bounds[0] = -UNBOUNDED
+        known = [*(self.bends[list(self.fixed)] + 1), *range(self.size + 1, self.size + 4)]
+        self.active = np.array(known, dtype=np.int64)  # of the last solution: at first the equations
 
-    def keeps_bounds(self, gears: list[_GearPiece]) -> bool:
+    def _rates(self, gears: _Gears) -> FloatArray:
+        """Return the curvature rates of the pieces [1/m^2]."""
+        left = self.left
+        return (gears.curvature[left + 1] - gears.curvature[left]) / (gears.knots[left + 1] - gears.knots[left])
+
+    def has_vanished(self, gears: _Gears) -> bool:
+        """Whether a turn in place is too small."""
+        return bool(np.any(np.abs(gears.turns[self.is_turn]) < _LEAST_TURN))
+
+    def keeps_bounds(self, gears: _Gears) -> bool:
         """Whether the curvature and its rates are within their bounds."""
-        curvature, rates, _ = self._bounded(gears)
-        slack = 1.0 / _USED
-        return bool(np.all(np.abs(curvature) <= slack * self.most) and np.all(np.abs(rates) <= slack * self.most_rates))
+        slack, rates = 1.0 / _USED, np.abs(self._rates(gears))
+        return bool(np.all(np.abs(gears.curvature) <= slack * self.most) and np.all(rates <= slack * self.most_rates))
 
-    def _bounded(self, gears: list[_GearPiece]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return all curvatures, all rates, and the derivatives of the rates."""
-        curvature = np.concatenate([gear.curvature for gear in gears])
-        rates, rows = [], np.zeros((self.most_rates.size, self.size))
-        count = 0
-        for begin, gear in zip(self.starts.tolist(), gears, strict=False):
-            if gear.sign == 0:
-                continue
-            steps, n = np.diff(gear.knots), gear.curvature.size
-            found = np.diff(gear.curvature) / steps
-            at = np.arange(n - 1)
-            rows[count + at, begin + at], rows[count + at, begin + at + 1] = -1.0 / steps, 1.0 / steps
-            rows[count + at, begin + n] = -found  # the same turn over a longer gear
-            rates.append(found)
-            count += n - 1
-        return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
-
-    def least_change(
-        self,
-        gears: list[_GearPiece],
-        driven: tuple[tuple[Segment, ...], FloatArray],
-        gap: FloatArray,
-        pushes: list[tuple[Push, _Contact]],
-    ) -> list[FloatArray] | None:
-        """Return the changes of least cost that close the gap subject to pushes and bounds, one per gear, or None."""
-        segments, end = driven
-        curvature, rates, rate_rows = self._bounded(gears)
-        if self.program is None:
-            self.program = DenseProgram(self.size, 3 + rates.size + len(pushes))
-            self.program.h[:] = self.price
-        program, pushed = self.program, 3 + rates.size
+    def with_least_change(
+        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: list[_Contact]
+    ) -> _Gears | None:
+        """Return the gears with the change of least cost that closes the gap subject to pushes and bounds, or None."""
+        rates, left, curvature = self._rates(gears), self.left, gears.curvature
+        (lower, upper), rows, at = self.bounds, self.rows, np.arange(3, self.pushed)
         room = min(self.most, UNBOUNDED)
-        program.lbx[self.places], program.ubx[self.places] = -room - curvature, room - curvature
-        for i, value in self.fixed:
-            program.lbx[i] = program.ubx[i] = value - curvature[np.searchsorted(self.places, i)]
-        program.a[:3] = self._moves(gears, segments, end)
-        program.lba[:3] = program.uba[:3] = gap
-        most_rates = np.minimum(self.most_rates, UNBOUNDED)
-        program.a[3:pushed] = rate_rows
-        program.lba[3:pushed], program.uba[3:pushed] = -most_rates - rates, most_rates - rates
-        for row, (push, contact) in enumerate(pushes, pushed):
-            place = push.gear, push.share
-            program.a[row] = contact.normal @ self._moves(gears, segments, contact.place, place)[:2]
-            program.lba[row] = contact.short
-        change = program.solve()
-        lengths = self.starts[1:][[gear.sign != 0 for gear in gears]] - 1
-        if change is None or np.any(np.abs(change[lengths]) > _MOST_STRETCH):
+        lower[self.bends], upper[self.bends] = -room - curvature, room - curvature
+        for knot, value in self.fixed.items():
+            lower[self.bends[knot]] = upper[self.bends[knot]] = value - curvature[knot]
+        (x, y, _), last = drive.borders[-1].tolist(), drive.at_knots[-1] if len(drive.at_knots) else drive.borders[0]
+        whole = _Place((x, y), gears.signs.size - 1, 1.0, math.inf, (float(last[0]), float(last[1])))
+        rows[:3] = _moves(gears, drive, whole)
+        lower[self.size : self.size + 3] = upper[self.size : self.size + 3] = gap
+        inverse, owner = 1.0 / (gears.knots[left + 1] - gears.knots[left]), self.lengths[self.owner[left]]
+        rows[at, self.bends[left]], rows[at, self.bends[left + 1]] = -inverse, inverse
+        rows[at, owner] = -rates  # the same turn over a longer gear
+        most = np.minimum(self.most_rates, UNBOUNDED)
+        lower[self.size + at], upper[self.size + at] = -most - rates, most - rates
+        for row, contact in enumerate(contacts, self.pushed):
+            rows[row] = contact.normal @ _moves(gears, drive, contact.place)[:2]
+            lower[self.size + row] = contact.short
+        found = minimizer(
+            QuadraticProgram(self.price, np.zeros(self.size), rows, self.bounds, self.size, self.active, self.dense)
+        )
+        if found is None:
             return None
-        return np.split(change, self.starts[1:-1])
+        self.active, change = found.active, found.solution
+        stretch = change[self.lengths]
+        if np.any(np.abs(stretch[~self.is_turn]) > _MOST_STRETCH):
+            return None
+        turns = gears.turns + np.where(self.is_turn, stretch, 0.0)
+        knots = gears.knots * np.exp(stretch)[self.owner]
+        return gears._replace(turns=turns, knots=knots, curvature=curvature + change[self.bends])
 
-    def _price(self, gear: _GearPiece) -> FloatArray:
-        """Return the matrix of the quadratic cost for changing the variables of a gear."""
-        if gear.sign == 0:
-            return np.array([[1.0]])
-        steps, n = np.diff(gear.knots), gear.curvature.size
-        swing = np.diff(np.eye(n), axis=0) / np.sqrt(steps)[:, None] / self.rate_scale
-        width = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
-        price = np.zeros((n + 1, n + 1))
-        price[:n, :n] = swing.T @ swing + np.diag(_BEND_PRICE * width / self.scale**2)
-        price[n, n] = _LENGTH_PRICE * gear.knots[-1]
+    def dense(self) -> DenseProgram:
+        """Create the program of the twin."""
+        return DenseProgram(self.size, len(self.rows), tolerance=EXACT)
+
+    def _price(self, gears: _Gears) -> FloatArray:
+        """Return the matrix of the quadratic cost for changing the variables (D4)."""
+        steps, first = gears.knots[self.left + 1] - gears.knots[self.left], self.bends[self.left]
+        width, price = np.zeros(self.size), np.zeros((self.size, self.size))
+        width[first] += 0.5 * steps
+        width[first + 1] += 0.5 * steps
+        swing = 1.0 / (steps * self.rate_scale**2)
+        values = _BEND_PRICE * width / self.scale**2
+        values[first] += swing
+        values[first + 1] += swing
+        ends = gears.knots[gears.first[1:] - 1] if gears.knots.size else np.zeros(gears.signs.size)
+        values[self.lengths] = np.where(self.is_turn, 1.0, _LENGTH_PRICE * ends)
+        np.fill_diagonal(price, values)
+        price[first, first + 1] = price[first + 1, first] = -swing
         return price
-
-    def _moves(
-        self,
-        gears: list[_GearPiece],
-        segments: tuple[Segment, ...],
-        end: FloatArray,
-        until: tuple[int, float] = (_ALL, 1.0),
-    ) -> FloatArray:
-        """Return the derivatives of a point of the robot with respect to all variables, Shape (3, variables)."""
-        columns = []
-        for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
-            if i > until[0]:
-                columns.append(np.zeros((3, gear.size)))
-                continue
-            share = until[1] if i == until[0] else 1.0
-            if gear.sign == 0:
-                x, y, _ = segment.poses_at(0.0)[0]
-                columns.append(share * np.array([[y - end[1]], [end[0] - x], [1.0]]))
-                continue
-            steps, last_s = np.diff(gear.knots), share * segment.length
-            s = (gear.knots[:-1, None] + steps[:, None] * _NODES).ravel()
-            poses = segment.poses_at(np.append(s, [0.0, min(gear.knots[-1], last_s)]))
-            poses, (first, last) = poses[:-2], poses[-2:]
-            turned = np.stack((poses[:, 1] - end[1], end[0] - poses[:, 0], np.ones(s.size)))
-            weights = np.repeat(steps, _NODES.size) * np.tile(_WEIGHTS, steps.size) * (s <= last_s)
-            weighted = (turned * weights).reshape(3, steps.size, _NODES.size)
-            bends = np.zeros((3, gear.curvature.size))
-            bends[:, :-1] += weighted @ (1.0 - _NODES)
-            bends[:, 1:] += weighted @ _NODES
-            # Derivative by the logarithm of the length: the turns and the travelled distance grow in proportion.
-            longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
-            columns.append(np.column_stack((bends, longer)))
-        return np.concatenate(columns, axis=1)
 
 
 def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:

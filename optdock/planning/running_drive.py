@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -53,21 +54,30 @@ class DriveState(NamedTuple):
     is_filtered: bool = False
 
 
-class BranchPoint(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class BranchPoint:
     """A point on the running trajectory, and the state of the robot there.
 
-    `time`: time on the clock of the trajectory [s]. `s`: arc length on its path [m]. `pose`, `speed`, `acceleration`:
-    state of the robot, the latter two signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the
-    robot, or None if no path remains.
+    `path`: the path ahead. `time`: time on the clock of the trajectory [s]. `s`: arc length on the path [m]. `speed`,
+    `acceleration`: state of the robot, signed. `gear`: 1, -1 or 0.
     """
 
+    path: Path
     time: float
     s: float
-    pose: Pose2
     speed: float
     acceleration: float
     gear: int
-    rest: Path | None
+
+    @functools.cached_property
+    def rest(self) -> Path | None:
+        """The remaining path from the pose of the robot, or None if no path remains."""
+        return self.path.piece(self.s) if self.s < self.path.length - NO_WAY else None
+
+    @functools.cached_property
+    def pose(self) -> Pose2:
+        """Pose of the robot."""
+        return self.path.end if self.rest is None else self.rest.start
 
     @property
     def rests(self) -> bool:
@@ -141,10 +151,8 @@ class RunningDrive:
             speed = acceleration = 0.0
             s = next((cusp for cusp in path.cusps if abs(cusp - s) <= NO_WAY), s)
         gear = int(path.direction_at(s)[0])
-        rest = path.piece(s) if s < length - NO_WAY else None
-        pose = path.end if rest is None else rest.start
         sign = gear or 1
-        return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
+        return BranchPoint(path, time, s, sign * speed, sign * acceleration, gear)
 
     def _next_rest(self, time: float) -> float:
         """Return `time`, or the time of the next rest if that rest is near or the robot turns in place."""
@@ -172,13 +180,13 @@ class RunningDrive:
     def way_until(self, joint: BranchPoint) -> WayVerdict | None:
         """Prove the clearance of the path to the joint; None if the robot is at the joint."""
         now = self.now
-        if now.rest is None or joint.s - now.s <= NO_WAY:
+        if joint.s - now.s <= NO_WAY:
             return None
         if self.ahead is self.plan.path and self.is_on_the_path:
             known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
             if known is not None:
                 return WayVerdict(known)
-        return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
+        return prove_way(self.ahead.piece(now.s, joint.s), self.world, self.state.pose)
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
         """Return the current problem with the joint as its start."""

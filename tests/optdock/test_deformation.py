@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
+import shutil
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.fuzz.kinds.kernels import replaced
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.geometry.separation import separation
+from optdock.kernels import using_kernels
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path, TurnSegment
-from optdock.planning.deformation import Push, deformed
+from optdock.planning.deformation import Push, _driven, _Gears, _moves, _Place, _pose_at, deformed
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
 STRAIGHT = 0.3
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 SMALL = st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
 
 
@@ -150,3 +154,87 @@ def test_moved_path_has_moved_poses():
         s = np.linspace(0.0, path.length, 50)
         for pose, was in zip(path.moved(move).poses_at(s), path.poses_at(s), strict=True):
             assert Pose2.from_sequence(pose).gap_to(move @ Pose2.from_sequence(was)) <= 1e-9
+
+
+def random_gears(rng):
+    """Return gears and turns in place of any number, each gear with 2 to 6 knots, and a pose."""
+    signs = rng.choice([-1.0, 0.0, 1.0], size=rng.integers(1, 5))
+    counts = np.where(signs == 0.0, 0, rng.integers(2, 7, size=signs.size))
+    steps = [np.append(0.0, rng.uniform(0.02, 0.4, size=count - 1)).cumsum() for count in counts if count]
+    knots = np.concatenate([np.zeros(0), *steps])
+    gears = _Gears(
+        signs,
+        np.where(signs == 0.0, 0.0, rng.choice([0.0, 0.3], size=signs.size)),
+        np.where(signs == 0.0, rng.uniform(-3.0, 3.0, size=signs.size), 0.0),
+        np.append(0, counts).cumsum(),
+        knots,
+        rng.uniform(-2.0, 2.0, size=knots.size) * rng.choice([0.0, 1.0]),
+    )
+    gears.curvature[gears.first[1:][gears.tails > 0.0] - 1] = 0.0  # before a straight line
+    return gears, rng.uniform(-3.0, 3.0, size=3)
+
+
+def place_at(gears, drive, gear, share, offset):
+    """Return a point of the robot at a place."""
+    pose, driven = _pose_at(gears, drive, gear, share)
+    last = gears.first[gear + 1] - 1
+    robot = drive.at_knots[last] if gears.signs[gear] and driven > gears.knots[last] else pose
+    turned = np.array([[math.cos(pose[2]), -math.sin(pose[2])], [math.sin(pose[2]), math.cos(pose[2])]])
+    return pose, _Place(tuple(pose[:2] + turned @ offset), gear, share, driven, tuple(robot[:2]))
+
+
+def test_poses_are_those_of_the_exact_curves():
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        gears, start = random_gears(rng)
+        drive, path = _driven(gears, start), gears.path(Pose2(*start), "map")
+        np.testing.assert_allclose(drive.borders[-1, :2], path.end.as_array()[:2], atol=1e-9)
+        for gear, segment in enumerate(path.segments):
+            share = rng.uniform()
+            pose, _ = _pose_at(gears, drive, gear, share)
+            np.testing.assert_allclose(pose, segment.poses_at(share * segment.length)[0], atol=1e-9)
+
+
+def test_derivatives_are_those_of_finite_differences():
+    rng, d = np.random.default_rng(2), 1e-6
+    for _ in range(40):
+        gears, start = random_gears(rng)
+        drive, gear, offset = _driven(gears, start), int(rng.integers(gears.signs.size)), rng.uniform(-1.0, 1.0, size=2)
+        share = 1.0 if gears.signs[gear] else rng.uniform()  # no piece is driven in part
+        pose, place = place_at(gears, drive, gear, share, offset)
+        moves = _moves(gears, drive, place)
+        for i in range(gears.signs.size):
+            first, last = gears.first[i : i + 2]
+            for variable in range(first + i, last + i + 1):
+                if variable == last + i - 1 and gears.tails[i] > 0.0:  # is fixed
+                    continue
+                knots, curvature, turns = gears.knots.copy(), gears.curvature.copy(), gears.turns.copy()
+                if variable < last + i:
+                    curvature[variable - i] += d
+                elif gears.signs[i] == 0.0:
+                    turns[i] += d
+                else:
+                    knots[first:last] *= math.exp(d)
+                other = gears._replace(knots=knots, curvature=curvature, turns=turns)
+                moved, at = place_at(other, _driven(other, start), gear, share, offset)
+                change = np.array([*(np.array(at.point) - place.point), moved[2] - pose[2]]) / d
+                np.testing.assert_allclose(moves[:, variable], change, atol=1e-4)
+
+
+@needs_compiler
+def test_kernels_return_what_their_twins_do():
+    rng = np.random.default_rng(3)
+    assert replaced() == ""  # a kernel that differs in its first call is replaced by its twin
+    with using_kernels("audit"):  # raises an error if they differ
+        for _ in range(200):
+            gears, start = random_gears(rng)
+            gear, share = int(rng.integers(gears.signs.size)), float(rng.choice([0.0, 0.4, 1.0]))
+            drive = _driven(gears, start)
+            _moves(gears, drive, place_at(gears, drive, gear, share, np.array([0.3, -0.2]))[1])
+
+
+@needs_compiler
+def test_kernels_reject_other_sizes():
+    gears, start = random_gears(np.random.default_rng(4))
+    with using_kernels("native"), pytest.raises(ValueError, match="elements"):
+        _driven(gears._replace(tails=np.zeros(99)), start)
