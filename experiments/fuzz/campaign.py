@@ -1,7 +1,7 @@
 """Campaigns: run cases in one process per job with limits of memory and time; count, shrink and save failures.
 
-All times are CPU time, also the budgets of the library, so that neither other processes nor a stop of this one (SIGSTOP)
-changes a verdict. The outcome of every case is appended to a file, from which a campaign can be continued.
+All times are CPU time, also the budgets of the library, so that neither other processes nor a stop of this one
+(SIGSTOP) changes a verdict. The outcome of every case is appended to a file, from which a campaign can be continued.
 """
 
 from __future__ import annotations
