@@ -33,11 +33,18 @@ ALL = (
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments.fuzz", description="Fuzz optdock against an oracle.")
-    parser.add_argument("--seconds", type=float, default=600.0, help="duration [s] (default: %(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="CPU time of each process [s] (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=1, help="seed of all cases (default: %(default)s)")
     parser.add_argument("--kinds", default=",".join(ALL), help="comma-separated names (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes (default: %(default)s)")
     parser.add_argument("--count", type=int, help="number of cases of every kind (default: until the time is up)")
+    parser.add_argument("--verdicts", default="", help="verdicts at which a kind ends: paths=1000,plans=200")
+    parser.add_argument(
+        "--lanes", default="own", help="lane of the kernels: own, twin (NumPy alone), or both (default: %(default)s)"
+    )
+    parser.add_argument("--resume", action="store_true", help="continue the campaign of this seed in --out")
     parser.add_argument(
         "--out", type=Path, default=Path("results/fuzz"), help="directory of failing cases (default: %(default)s)"
     )
@@ -55,10 +62,27 @@ def main(arguments: list[str] | None = None) -> int:
     if not set(kinds) <= set(ALL):
         print(f"--kinds: known are {', '.join(ALL)}; got {options.kinds}", file=sys.stderr)
         return 2
-    return _campaign(options, kinds)
+    wanted = _wanted(options.verdicts)
+    if wanted is None or not set(wanted) <= set(kinds):
+        print(f"--verdicts: must be KIND=NUMBER,... of the kinds of --kinds; got {options.verdicts}", file=sys.stderr)
+        return 2
+    from experiments.fuzz.lanes import LANES
+
+    if options.lanes not in LANES:
+        print(f"--lanes: must be one of {', '.join(LANES)}; got {options.lanes}", file=sys.stderr)
+        return 2
+    return _campaign(options, kinds, wanted)
 
 
-def _campaign(options: argparse.Namespace, kinds: tuple[str, ...]) -> int:
+def _wanted(text: str) -> dict[str, int] | None:
+    """Return the number of verdicts of every kind; None if the text is invalid."""
+    try:
+        return {kind: int(number) for kind, number in (part.split("=") for part in text.split(",") if part)}
+    except ValueError:
+        return None
+
+
+def _campaign(options: argparse.Namespace, kinds: tuple[str, ...], wanted: dict[str, int]) -> int:
     from experiments.fuzz.campaign import Campaign, run
 
     campaign = Campaign(
@@ -67,6 +91,9 @@ def _campaign(options: argparse.Namespace, kinds: tuple[str, ...]) -> int:
         seconds=options.seconds,
         count=options.count,
         out=options.out,
+        wanted=wanted,
+        lanes=options.lanes,
+        resume=options.resume,
         stop_at_fault=options.plant is not None,
         plant=options.plant,
     )

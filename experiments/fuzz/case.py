@@ -40,11 +40,14 @@ class Verdict:
         outcome: `certified`, `refused: KIND`, the name of an error, or one of `FAULTS`.
         detail: Violated rule, location and amount, for people.
         evidence: A case that reproduces the fault without the clock, if there is one (a plan's path).
+        checked: Numbers of the library's verdicts that were compared with the truth, by their names; the cases of some
+            kinds have several questions.
     """
 
     outcome: str
     detail: str = ""
     evidence: Case | None = field(default=None, compare=False)
+    checked: dict[str, int] = field(default_factory=dict, compare=False)
 
     @property
     def is_fault(self) -> bool:

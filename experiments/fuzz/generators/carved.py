@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -11,15 +10,19 @@ import shapely
 
 from experiments.fuzz.generators.shapes import end_rules, footprint, log_uniform
 from experiments.fuzz.oracle.sweep import clearance_rule, required_at
+from experiments.fuzz.oracle.world import placed
 from optdock.geometry.polygon import convex_cover
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from experiments.fuzz.case import Case
 
 __all__ = ["carved_scene", "required_between"]
 
 Rng: TypeAlias = np.random.Generator
 Floats: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
+Shapes: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.object_]]"
 
 # Shares of a step at which the rule is evaluated; the outer ones are as good as its ends.
 _SHARES = np.concatenate(([0.0, 1e-6], np.linspace(0.0, 1.0, 65)[1:-1], [1.0 - 1e-6, 1.0]))
@@ -50,12 +53,10 @@ def _drawn(rng: Rng) -> Case | None:
     pieces = [shapely.Polygon(piece) for piece in convex_cover(body)]
     hulls = _hulls(pieces, poses)
     needed = required_between(rule, poses, at_start, outline)
-    room = shapely.union_all(
-        [
-            hull.buffer((need + margin) / math.cos(math.pi / 64.0), quad_segs=16) if need + margin > 0.0 else hull
-            for hull, need in zip(hulls, needed, strict=True)
-        ]
-    )
+    wide = hulls.copy()
+    kept = np.flatnonzero(needed + margin > 0.0)
+    wide[kept] = shapely.buffer(hulls[kept], (needed[kept] + margin) / math.cos(math.pi / 64.0), quad_segs=16)
+    room = shapely.union_all(wide)
     slack = 0.0 if exact else 0.3 * margin
     room = room.buffer(slack).simplify(slack) if slack else room
     polygons = _obstacles(rng, room)
@@ -64,7 +65,7 @@ def _drawn(rng: Rng) -> Case | None:
     obstacles = shapely.union_all([shapely.Polygon(polygon) for polygon in polygons])
     clearance = min(float(obstacles.distance(_at(body, poses[0]))), 10.0)
     true = required_between(rule, poses, clearance, outline)
-    if any(float(obstacles.distance(hull)) < need for hull, need in zip(hulls, true, strict=True)):
+    if np.any(shapely.distance(obstacles, hulls) < true):
         return None
     return {
         "kind": "impossibilities",
@@ -73,7 +74,7 @@ def _drawn(rng: Rng) -> Case | None:
         "start": poses[0].tolist(),
         "goal": poses[-1].tolist(),
         "clearance": rule,
-        "budget": float(rng.choice([0.25, 0.25, 0.25, 2.0])),
+        "budget": float(rng.choice([0.05, 0.1, 0.1, 0.3])),
         "moved": [0.0, 0.0] if rng.uniform() < 0.8 else rng.uniform(-1e5, 1e5, 2).tolist(),
     }
 
@@ -113,16 +114,18 @@ def _at(shape: shapely.Geometry, pose: Floats) -> shapely.Geometry:
     return shapely.transform(shape, lambda points: points @ np.array([[c, s], [-s, c]]) + pose[:2])
 
 
-def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geometry]:
+def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> Shapes:
     """Return the swept areas between neighbouring poses: hulls of the body's pieces, grown by the sagitta of turns."""
-    found = []
-    for first, second in itertools.pairwise(poses):
-        ends = [[_at(piece, pose) for pose in (first, second)] for piece in pieces]
-        hull = shapely.union_all([shapely.convex_hull(shapely.union_all(pair)) for pair in ends])
-        reach = max(shapely.hausdorff_distance(piece, shapely.Point(0.0, 0.0)) for piece in pieces)
-        sagitta = reach * (second[2] - first[2]) ** 2 / 8.0
-        found.append(hull.buffer(1.01 * sagitta, quad_segs=4) if sagitta else hull)
-    return found
+    parts = []
+    for piece in pieces:
+        corners = placed(shapely.get_coordinates(piece)[:-1], poses)
+        parts.append(shapely.convex_hull(shapely.linestrings(np.concatenate((corners[:-1], corners[1:]), axis=1))))
+    hulls = parts[0] if len(parts) == 1 else shapely.union_all(np.array(parts), axis=0)
+    reach = max(float(np.hypot(*shapely.get_coordinates(piece).T).max()) for piece in pieces)
+    sagitta = reach * np.diff(poses[:, 2]) ** 2 / 8.0
+    turned = np.flatnonzero(sagitta)
+    hulls[turned] = shapely.buffer(hulls[turned], 1.01 * sagitta[turned], quad_segs=4)
+    return hulls
 
 
 def required_between(
@@ -156,9 +159,10 @@ def _obstacles(rng: Rng, room: shapely.Geometry) -> list[list[list[float]]]:
     elif kind == "cells":
         side = max(rng.uniform(0.03, 0.3), (x1 - x0 + y1 - y0) / 80.0)
         at_x, at_y = np.meshgrid(np.arange(x0 - more, x1 + more, side), np.arange(y0 - more, y1 + more, side))
-        cells = shapely.box(at_x, at_y, at_x + side, at_y + side).ravel()
         shapely.prepare(room)
-        shapes = [shapely.union_all(cells[~shapely.intersects(room, cells)])]
+        return _runs(
+            at_x[0], at_y[:, 0], side, ~shapely.intersects(room, shapely.box(at_x, at_y, at_x + side, at_y + side))
+        )
     else:
         points = rng.uniform((x0 - more, y0 - more), (x1 + more, y1 + more), (12, 2))
         sizes = [log_uniform(rng, 1e-3, 1.0) for _ in points]
@@ -169,3 +173,15 @@ def _obstacles(rng: Rng, room: shapely.Geometry) -> list[list[list[float]]]:
         shapes = [blob.difference(room) for blob in blobs]
     parts = [part for shape in shapes for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     return [piece.tolist() for part in parts if part.area > 1e-8 for piece in convex_cover(part)]
+
+
+def _runs(x: Floats, y: Floats, side: float, occupied: npt.NDArray[np.bool_]) -> list[list[list[float]]]:
+    """Return neighbouring occupied cells of each row as rectangles."""
+    edges = np.diff(np.pad(occupied.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    (row, first), (_, stop) = np.nonzero(edges > 0), np.nonzero(edges < 0)
+    low, high = np.column_stack((x[first], y[row])), np.column_stack((x[stop - 1] + side, y[row] + side))
+    corners = [(low, low), (high, low), (high, high), (low, high)]
+    found: list[list[list[float]]] = np.stack(
+        [np.column_stack((a[:, 0], b[:, 1])) for a, b in corners], axis=1
+    ).tolist()
+    return found

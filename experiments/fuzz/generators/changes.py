@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["running_plan"]
 
 Rng: TypeAlias = np.random.Generator
-_QUICK = [0.5, 0.1, 0.0, 0.4]
-_PATHS = 0.6  # share of cases with a given path, whose margins are near the limit; the others are planned
+_BUDGETS, _ORDINARY, _QUICK = [0.02, 0.05, 0.2, 0.001], [0.5, 0.35, 0.1, 0.05], [0.5, 0.1, 0.0, 0.4]  # [s]
+_MORE = 5  # further questions about a plan
+_PATHS = 0.45  # share of cases with a given path, whose margins are near the limit; the others are planned
 _PATHS_ASKED = 0.9  # the same share if the question is given: these cases cost a tenth
 # Limits that `_simple_law` satisfies on any path.
 _NO_LIMITS = dict.fromkeys(("max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"), 1e6)
@@ -29,6 +30,8 @@ _FAST_TURNS = {"max_yaw_rate": 1e6, "max_yaw_acceleration": 1e6}
 
 def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = False) -> Case:
     """Return a plan, or a problem to be planned first; a world; the progress of the robot; `kind` is `replans`.
+
+    `more` holds the differences of further questions about the same plan.
 
     `world` holds the differences from the case itself. `beside` names obstacles that are placed next to the rest of the
     path once it is known: a seed and gaps [m]. `offset` is the measured robot relative to its reference; `moved` a
@@ -52,26 +55,44 @@ def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = Fal
         case["question"] = question or "holds"
     else:
         case = docking_problem(rng)
-        case["budget"] = 2.0
+        case["budget"] = 0.1
         case["start_speed"], case["start_curvature"] = 0.0, None
         _steered(rng, case)
         case["world"] = _another_world(rng, case)
         case["beside"] = [int(rng.integers(2**31)), [_gap(rng, case) for _ in range(int(rng.choice([0, 1, 3])))]]
         forms = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
         case["question"] = question or "replan"
-    case["kind"] = "replans"
-    case["asked"] = str(rng.choice(forms))
-    case["share"] = float(
-        rng.choice([rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0], p=[0.7, 0.2, 0.05, 0.05])
-    )
-    case["rate"] = float(rng.choice([1.0, rng.uniform(0.0, 1.0), 0.0, rng.uniform(1.0, 1.3)], p=[0.6, 0.25, 0.05, 0.1]))
-    case["delay"] = float(rng.choice([0.0, rng.uniform(0.0, 0.2)]))
-    case["lead"] = None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3))
-    case["moved"] = None if rng.uniform() < 0.9 else [float(rng.normal(0.0, 0.05)) for _ in range(3)]
-    case["offset"] = None if not is_beside and rng.uniform() < 0.5 else _offset(rng)
-    budgets = [0.02, 0.1, 0.5, 0.001]
-    case["replan_budget"] = float(rng.choice(budgets, p=[0.2, 0.2, 0.55, 0.05] if question is None else _QUICK))
+    case |= {"kind": "replans", **_moment(rng, forms, question, is_beside=is_beside)}
+    own = rng.spawn(1)[0]
+    case["more"] = [_another_question(own, case, question, is_beside=is_beside) for _ in range(_MORE)]
     return case
+
+
+def _moment(rng: Rng, forms: list[str], question: str | None, *, is_beside: bool) -> Case:
+    """Return the present time, the robot's state, and the form and budget of the question."""
+    asked = str(rng.choice(forms))
+    shares = [rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0]
+    return {
+        "asked": asked,
+        "share": float(rng.choice(shares, p=[0.7, 0.2, 0.05, 0.05])),
+        "rate": float(rng.choice([1.0, rng.uniform(0.0, 1.0), 0.0, rng.uniform(1.0, 1.3)], p=[0.6, 0.25, 0.05, 0.1])),
+        "delay": float(rng.choice([0.0, rng.uniform(0.0, 0.2)])),
+        "lead": None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3)),
+        "moved": None if rng.uniform() < 0.9 else [float(rng.normal(0.0, 0.05)) for _ in range(3)],
+        "offset": None if not is_beside and rng.uniform() < 0.5 else _offset(rng),
+        "replan_budget": float(rng.choice(_BUDGETS, p=_ORDINARY if question is None else _QUICK)),
+    }
+
+
+def _another_question(rng: Rng, case: Case, question: str | None, *, is_beside: bool) -> Case:
+    """Return the parts of a case that differ in another question about the same plan."""
+    if "path" in case:
+        return _moment(rng, [case["asked"]], question, is_beside=is_beside)
+    plain = {**case, "grid": None}  # another grid takes long to be drawn
+    world, gaps = _another_world(rng, plain), [_gap(rng, case) for _ in range(int(rng.choice([0, 1, 3])))]
+    forms = ["problem"] if set(world) - {"dock"} or gaps else ["problem", "pose"]
+    beside = [int(rng.integers(2**31)), gaps]
+    return {"world": world, "beside": beside, **_moment(rng, forms, question, is_beside=is_beside)}
 
 
 def _simple_law(path: list[Case]) -> Case:

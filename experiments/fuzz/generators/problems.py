@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Motion
     from experiments.fuzz.oracle.sweep import Sweep
 
-__all__ = ["beside", "path_problem"]
+__all__ = ["beside", "path_problem", "wanted_margin"]
 
 Rng: TypeAlias = np.random.Generator
 _POSES = 48  # poses of the swept area used to place obstacles next to it
@@ -258,7 +258,7 @@ def _add_grid(rng: Rng, case: Case, swept: _Swept) -> None:
     case["grid_alone"] = bool(rng.uniform() < 0.25)
 
 
-def _wanted_margin(rng: Rng) -> float:
+def wanted_margin(rng: Rng) -> float:
     """Return a margin near the limit: accepted by a tolerance five times too large, a missing centimetre, or none."""
     style = rng.uniform()
     if style < 0.3:
@@ -275,7 +275,7 @@ def _aim(rng: Rng, case: Case, motion: Motion) -> None:
     world = World.of(case)
     if world.is_empty or rng.uniform() < 0.12:
         return
-    wanted = _wanted_margin(rng)
+    wanted = wanted_margin(rng)
     relief = start_run(case) if rng.uniform() < 0.3 else 0.0
     found = sweep(case, motion, world, relief=relief)
     clearance = float(found.clearance.min())

@@ -11,7 +11,7 @@ from experiments.fuzz.generators.carved import carved_scene
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.impossibility import check_impossibility, prove_impossible
+from optdock.impossibility import ImpossibilitySearch, check_impossibility
 from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
@@ -46,7 +46,8 @@ def judge(case: Case) -> Verdict:
         problem = problem_of(case)
     except InvalidValue as error:
         return Verdict("input refused: InvalidValue", str(error))
-    proof = prove_impossible(problem, time_budget=case["budget"])
+    search = ImpossibilitySearch(problem)
+    proof = search.proof(case["budget"])
     if proof is None:
-        return Verdict("not proven")
+        return Verdict("not proven", checked={"open" if search.ended else "open, interrupted": 1})
     return Verdict("false proof", f"{proof.message}; its check: {check_impossibility(proof, problem)}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import math
 import time
+from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,25 +15,34 @@ from experiments.fuzz.case import Verdict
 from experiments.fuzz.doors import law_spec, path_spec, problem_of, problem_spec
 from experiments.fuzz.generators.docking import docking_problem
 from experiments.fuzz.kinds import paths, trajectories
+from experiments.fuzz.lanes import compares_lanes, is_repeated, motion_differs, repeated
 from experiments.fuzz.oracle.motion import motion_of
+from experiments.fuzz.oracle.world import World
 from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
+from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.planning.pipeline import plan_dock, warm_up
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
+    from optdock.model.problem import DockingProblem
     from optdock.planning.plan import DockPlan
 
-__all__ = ["draw", "judge"]
+__all__ = ["draw", "judge", "plan_numbers"]
 
+_OTHERS = 3  # further problems of a case, with another start and another clearance
 _FAMILIES = 0.25  # share of problems from `experiments.families`
-_LATE_CPU, _LATE = 0.2, 2.0  # [s] of CPU time, and of wall clock on a loaded machine, past the budget
+_LATE = 0.2  # [s] of CPU time past the budget
+_COUNTED = 0.05  # [s]: budget of plans in both lanes, of the counted clock
 _AGREEMENT = 1e-6  # [m], [rad] between a trajectory's poses and its path
 
 
 def draw(rng: np.random.Generator) -> Case:
     """Draw a random docking problem, or an instance of a family."""
-    case = docking_problem(rng)
+    own = rng.spawn(1)[0]
+    others = [[*own.normal(0.0, (0.05, 0.05, 0.05)).tolist(), own.uniform(0.5, 1.1)] for _ in range(_OTHERS)]
+    case = {**docking_problem(rng), "repeated": is_repeated(own), "others": others}
     if rng.uniform() >= _FAMILIES:
         return case
     from experiments.families import FAMILIES, instance
@@ -40,7 +51,8 @@ def draw(rng: np.random.Generator) -> Case:
     scene = problem_spec(instance(family, member).problem)
     if rng.uniform() < 0.5:
         scene["zone"] = case["zone"]
-    return {**scene, "kind": "plans", "budget": case["budget"], "family": [family, member]}
+    kept = {key: case[key] for key in ("kind", "budget", "repeated", "others")}
+    return {**scene, **kept, "family": [family, member]}
 
 
 @functools.cache
@@ -49,26 +61,66 @@ def _warm() -> None:
 
 
 def judge(case: Case) -> Verdict:
-    """Plan, and check the result."""
+    """Plan, and check the result; if there is a plan, also for the further problems of the case."""
     _warm()
     try:
         problem = problem_of(case)
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
-    began, cpu = time.monotonic(), time.process_time()
-    verdict, plan = Verdict("certified"), None
+    world = World.of(case)
+    first = _judged(_alone(case), problem, world)
+    if first.is_fault or not first.checked:
+        return first
+    checked = Counter(first.checked)
+    for *shift, factor in case.get("others", ()):
+        clearance = [factor * case["clearance"][0], factor * case["clearance"][1], *case["clearance"][2:]]
+        start = [float(one + by) for one, by in zip(case["start"], shift, strict=True)]
+        other = {**_alone(case), "start": start, "clearance": clearance, "repeated": False}
+        found = _judged(other, replace(problem, start=Pose2(*start), clearance=ClearanceRule(*clearance)), world)
+        if found.is_fault:
+            return found if found.evidence is not None else Verdict(found.outcome, found.detail, other)
+        checked.update(found.checked)
+    return Verdict(first.outcome, checked=dict(checked))
+
+
+def _alone(case: Case) -> Case:
+    """Return a case without further problems."""
+    return {key: value for key, value in case.items() if key != "others"}
+
+
+def _judged(case: Case, problem: DockingProblem, world: World) -> Verdict:
+    began = time.process_time()
+    verdict, plan = Verdict("certified", checked={"plans": 1}), None
     try:
         plan = plan_dock(problem, time_budget=case["budget"])
     except CertificationFailed as error:
         return _failed(case, error)
     except OptdockError as error:
         verdict = Verdict(type(error).__name__)
-    spent, cpu = time.monotonic() - began - case["budget"], time.process_time() - cpu - case["budget"]
-    refuted = None if plan is None else _refuted(case, plan)
-    if refuted is None and (cpu > _LATE_CPU or spent > _LATE):
-        over = f"{1e3 * spent:.0f} ms past a budget of {1e3 * case['budget']:.0f} ms, {1e3 * cpu:.0f} ms of them busy"
-        return Verdict("late", f"{verdict.outcome}: {over}")
-    return refuted or verdict
+    spent = time.process_time() - began - case["budget"]
+    wrong = None if plan is None else _refuted(case, plan, world)
+    if wrong is None and spent > _LATE:
+        over = f"{1e3 * spent:.0f} ms of CPU past a budget of {1e3 * case['budget']:.0f} ms"
+        wrong = Verdict("late", f"{verdict.outcome}: {over}")
+    return wrong or _differs(case, problem, plan, verdict) or verdict
+
+
+def _differs(case: Case, problem: DockingProblem, plan: DockPlan | None, verdict: Verdict) -> Verdict | None:
+    """Return the difference to the twin lane if lanes are compared; count the comparison."""
+    if plan is None or not compares_lanes():
+        return None
+    wrong = motion_differs(plan.trajectory, problem)
+    if wrong is None and case.get("repeated"):
+        wrong = repeated(lambda: plan_dock(problem_of(case), time_budget=_COUNTED), plan_numbers)
+        verdict.checked["planned again by NumPy"] = 1
+    return wrong
+
+
+def plan_numbers(plan: DockPlan) -> Case:
+    """Return the numbers of a plan that do not depend on the lane."""
+    law = plan.trajectory.time_law
+    poses = plan.path.poses_at(np.linspace(0.0, plan.path.length, 25))
+    return {"price": float(plan.price), "poses": poses.tolist(), "duration": float(law.duration)}
 
 
 def _failed(case: Case, error: CertificationFailed) -> Verdict:
@@ -77,14 +129,14 @@ def _failed(case: Case, error: CertificationFailed) -> Verdict:
     return Verdict("CertificationFailed", f"{what}: {error}, family {case.get('family')}")
 
 
-def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
+def _refuted(case: Case, plan: DockPlan, world: World) -> Verdict | None:
     """Return the fault of a plan."""
     if not (says_yes(plan.certificate) and says_yes(plan.trajectory_certificate)):
         return Verdict("uncertified plan", plan.certificate.reason or plan.trajectory_certificate.reason)
     gears, law = path_spec(plan.path), plan.trajectory.time_law
     if path_spec(plan.trajectory.path) != gears:
         return Verdict("uncertified plan", "the trajectory drives another path than the certified one")
-    scene = {key: value for key, value in case.items() if key not in ("budget", "family")}
+    scene = {key: value for key, value in case.items() if key not in ("budget", "family", "repeated", "others")}
     on_path: Case = {**scene, "kind": "paths", "path": gears}
     timed: Case = {
         "kind": "trajectories",
@@ -97,7 +149,7 @@ def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
         "wheels": "unknown" if case.get("start_curvature") is None else "known",
     }
     for evidence, found in (
-        (on_path, paths.refuted(on_path, plan.certificate)),
+        (on_path, paths.refuted(on_path, plan.certificate, world)),
         (timed, trajectories.refuted(timed, plan.trajectory_certificate)),
         (on_path, _disagreement(plan, gears)),
     ):

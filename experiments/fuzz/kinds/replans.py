@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import time
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -50,6 +51,7 @@ _SAME = 2e-6  # [m], [rad], [m/s], [m/s^2]: at the joint
 _LATE_CPU = 0.2  # [s] of CPU time past the budget
 _TOLERANCES = 0.02, 0.02, 0.05  # of docks: along, cross [m], yaw [rad]
 _UNPROVEN = "stop, not proven"
+_PROVEN = frozenset(outcome.value for outcome in ReplanOutcome)
 
 
 def draw(rng: np.random.Generator) -> Case:
@@ -73,7 +75,7 @@ def _warm() -> None:
 
 
 def judge(case: Case) -> Verdict:
-    """Make the plan, change the world, call the library, and check the answer."""
+    """Make the plan, change the world, call the library, and check the answer; then for the further questions."""
     try:
         plan = _plan(case)
     except OptdockError as error:
@@ -81,6 +83,19 @@ def judge(case: Case) -> Verdict:
     if plan is None:
         return Verdict("no plan: not certified")
     scene = {**_known(case), "path": path_spec(plan.path), "law": law_spec(plan.trajectory.time_law)}
+    checked: Counter[str] = Counter()
+    first = ""
+    for differences in ({}, *case.get("more", ())):
+        found = _judged({**case, "more": [], **differences}, scene, plan)
+        if found.is_fault:
+            return found
+        first = first or found.outcome
+        checked.update(found.checked)
+    return Verdict(first, checked=dict(checked))
+
+
+def _judged(case: Case, scene: Case, plan: DockPlan) -> Verdict:
+    """Return the verdict on one question about a plan."""
     time_now = case["share"] * plan.trajectory.duration
     world = _world(case, scene, time_now)
     full = {**case, "path": scene["path"], "law": scene["law"], "world": _difference(scene, world), "beside": [0, []]}
@@ -89,19 +104,23 @@ def judge(case: Case) -> Verdict:
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
     known = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
-    word, wrong = "", None
+    word, wrong, proven = "", None, []
     if case["question"] != "decide":
         found = still_holds(plan, known, time_now)
         wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
         word = "holds" if says_yes(found) else "holds no more"
+        proven += ["holds"] if found else []
     if wrong is None and case["question"] != "holds":
         word, wrong = _about_the_answer(case, scene, world, plan, later, time_now)
-    return Verdict(word) if wrong is None else Verdict(wrong.outcome, wrong.detail, full)
+        proven += [word] if word in _PROVEN else []
+    if wrong is not None:
+        return Verdict(wrong.outcome, wrong.detail, full)
+    return Verdict(word, checked=dict(Counter(proven)))
 
 
 def _known(case: Case) -> Case:
     """Return the world in which the plan is made."""
-    return {key: value for key, value in case.items() if key not in ("world", "beside")}
+    return {key: value for key, value in case.items() if key not in ("world", "beside", "more")}
 
 
 def _plan(case: Case) -> DockPlan | None:
