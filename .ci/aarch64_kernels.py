@@ -30,7 +30,7 @@ from optdock.planning.pipeline import plan_dock  # noqa: E402
 
 COMPILER = f"{sys.executable} -m ziglang cc -target aarch64-linux-gnu.2.17"
 # Comparisons of both lanes; those that compile a library, start a program or take long are left out.
-CHOSEN = "(last_bit or of_both_lanes or equal_to_the_twin) and not source and not compiler and not version and not library"
+CHOSEN = "(last_bit or of_both_lanes or mpc_program or motion_table or look_ahead or first_ramp) and not source and not compiler and not version and not library"
 BUDGET = 0.3  # [s] of counted work, the same with every kernel
 
 

@@ -60,7 +60,9 @@ class EmulatedLibrary:
         self._imports = {_IMPORTS + 4 * i: name for i, name in enumerate(missing, start=1)}  # 0 is the return address
         places = self.functions | {name: address for address, name in self._imports.items()}
         self._machine.mem_write(_IMPORTS, struct.pack("<I", _RETURN) * (len(missing) + 1))
-        for entry in chain.from_iterable(table.iter_relocations() for table in dynamic.get_relocation_tables().values()):
+        for entry in chain.from_iterable(
+            table.iter_relocations() for table in dynamic.get_relocation_tables().values()
+        ):
             kind, value = entry["r_info_type"], entry["r_addend"]
             assert kind in (_ABSOLUTE, _GLOBAL, _JUMP, _RELATIVE), f"relocation {kind}"
             value += _CODE if kind == _RELATIVE else places.get(symbols[entry["r_info_sym"]].name, 0)
