@@ -194,7 +194,7 @@ def _round_native(
         (pair_of, 2 * pairs),
         (distances, pairs),
         (counts, 2),
-        (np.empty(size := 22 * n + m + 2 * (robot.corners + q + robot.circles)), size),
+        (np.empty(size := 22 * n + 2 * k + m + 2 * (robot.corners + q + robot.circles)), size),
         (np.empty(size := 6 * n + m + 2 * k + 1, dtype=np.int64), size),
     )
     sizes = n, k, m, bodies, q, robot.corners, robot.circles, len(pieces.kinds), pieces.numbers.shape[1]
