@@ -278,10 +278,11 @@ class MotionLimits:
         return (farthest + begins) / self.max_steering_rate
 
 
-def finite_limits(limits: MotionLimits) -> dict[str, float]:
-    """Return all finite bounds by name, including bounds that are not in `LIMITS`."""
+@functools.lru_cache(maxsize=64)
+def finite_limits(limits: MotionLimits) -> Mapping[str, float]:
+    """Return all finite bounds by name, including bounds that are not in `LIMITS`, cached."""
     values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
-    return {name: value for name, value in values.items() if math.isfinite(value)}
+    return MappingProxyType({name: value for name, value in values.items() if math.isfinite(value)})
 
 
 def _rule(name: str, value: float) -> tuple[str, bool]:
