@@ -179,7 +179,7 @@ def time_path(
         TimingCancelled: If the call was cancelled.
     """
     whole = deadline or Deadline()
-    if not all(math.isfinite(value) for value in start[:2]):
+    if not (math.isfinite(start.speed) and math.isfinite(start.acceleration)):
         raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start[:2]}")
     if not (math.isfinite(start.wait) and start.wait >= 0.0):
         raise InvalidValue(f"timing: start_wait must be finite and >= 0 s, got {start.wait}")

@@ -50,9 +50,8 @@ def compiled_clearances(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of `proximity.pose_clearances`, Shape (n,) [m] and (n,)."""
-    corners = obstacles.vertices.shape[1]
-    has_many = any(skips_edges(len(one.vertices), corners) for one in footprint.bodies)
-    by_numpy = has_many or len(obstacles) == 0 or len(poses) == 0
+    m, corners, _ = obstacles.vertices.shape
+    by_numpy = m == 0 or poses.size == 0 or skips_edges(packed_footprint(footprint).corners, corners)
     best, row = (of_pieces if by_numpy else _of_pieces_chosen)(poses, footprint, obstacles, within)
     lower_where_deep(best, poses, footprint, obstacles)
     return best, row
@@ -65,7 +64,7 @@ def _of_pieces_native(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of `of_pieces`, computed in C; its arrays are described there."""
-    robot, n, m, q = packed_footprint(footprint), len(poses), len(obstacles), obstacles.vertices.shape[1]
+    robot, n, (m, q, _) = packed_footprint(footprint), poses.shape[0], obstacles.vertices.shape
     best, row, turned = np.full(n, float(within)), np.empty(n, dtype=np.int64), np.empty((n, 2))
     turned[:, 0], turned[:, 1] = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     arrays = (
@@ -82,7 +81,7 @@ def _of_pieces_native(
         (row, n),
         (np.empty(size := m + 2 * (robot.corners + q + robot.circles)), size),
     )
-    _KERNEL((n, m, len(robot.sizes), q, robot.corners, robot.circles), (), arrays)
+    _KERNEL((n, m, robot.sizes.shape[0], q, robot.corners, robot.circles), (), arrays)
     return best, row
 
 

@@ -148,7 +148,7 @@ def clearance_round(
     bodies, corners = bounded_footprint(world.footprint), near.everything.vertices.shape[1]
     at_once = most_at_once(bodies, len(near), corners)
     # The kernel evaluates all edges; of pairs with many corners the twin skips most.
-    has_many = any(skips_edges(len(one.body.vertices), corners) for one in bodies)
+    has_many = skips_edges(packed_footprint(world.footprint).corners, corners)
     if motion.pieces is None or has_many or 2 * len(bodies) * cells[0].first.size > at_once:
         return _round_numpy(motion, world, near, cells, attained, is_late)
     return _round_chosen(motion, world, near, cells, attained)
@@ -164,7 +164,8 @@ def _round_native(
     (segment, edges), (ends, nodes), rocks = cells[0].packed(), cells[1:], near.everything
     pieces, robot = motion.pieces, packed_footprint(world.footprint)
     assert pieces is not None
-    n, k, m, bodies, q = len(segment), len(nodes.s), len(near), len(robot.sizes), rocks.vertices.shape[1]
+    (everything, q, _), bodies, m = rocks.vertices.shape, robot.sizes.shape[0], near.rows.size
+    n, k = segment.size, nodes.s.size
     pairs, turned = k * m * bodies, np.empty((k, 2))
     turned[:, 0], turned[:, 1] = np.cos(nodes.poses[:, 2]), np.sin(nodes.poses[:, 2])
     rule = np.array((*world.rule.numbers, world.goal.x, world.goal.y, world.start.x, world.start.y))
@@ -183,21 +184,21 @@ def _round_native(
         (robot.sizes, 2 * bodies),
         (robot.numbers, robot.numbers.size),
         (near.rows, m),
-        (rocks.vertices, 2 * q * len(rocks)),
-        (rocks.normals, 2 * q * len(rocks)),
-        (rocks.offsets, q * len(rocks)),
-        (rocks.lower, 2 * len(rocks)),
-        (rocks.upper, 2 * len(rocks)),
+        (rocks.vertices, 2 * q * everything),
+        (rocks.normals, 2 * q * everything),
+        (rocks.offsets, q * everything),
+        (rocks.lower, 2 * everything),
+        (rocks.upper, 2 * everything),
         (found, 3 * n),
         (whole, 3 * n),
         (needed, k + 1),
         (pair_of, 2 * pairs),
         (distances, pairs),
         (counts, 2),
-        (np.empty(size := 22 * n + m + 2 * (robot.corners + q + robot.circles)), size),
+        (np.empty(size := 22 * n + 2 * k + m + 2 * (robot.corners + q + robot.circles)), size),
         (np.empty(size := 6 * n + m + 2 * k + 1, dtype=np.int64), size),
     )
-    sizes = n, k, m, bodies, q, robot.corners, robot.circles, len(pieces.kinds), pieces.numbers.shape[1]
+    sizes = n, k, m, bodies, q, robot.corners, robot.circles, pieces.kinds.shape[0], pieces.numbers.shape[1]
     if _KERNEL(sizes, (attained, TOLERANCE, SHARPNESS), arrays) < 0:
         raise IndexError("cells: must be rows of ends and segments of the path")
     bad = _NONE

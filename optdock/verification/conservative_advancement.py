@@ -149,9 +149,9 @@ class _Least:
 
     def add_all(self, found: Round) -> None:
         """Add all cells of a round."""
-        i = found.bound.argmin()
-        row = found.bound[i], found.s[i], found.required[i], found.row[i], found.needed[found.place[i]]
-        self._add(*map(float, row), margin=float((found.bound - found.required).min()))
+        i = int(found.bound.argmin())
+        row = [one.item(i) for one in (found.bound, found.s, found.required, found.row)]
+        self._add(*row, found.needed.item(found.place.item(i)), margin=(found.bound - found.required).min().item())
 
     def add(self, table: FloatArray) -> None:
         """Add cells, Shape (n, 5)."""
@@ -182,12 +182,12 @@ class _Tally:
         """Add a round, and return the cells that are still open; in the last round they are given up."""
         self.rounds += 1
         fates = found.without_sharpness() if is_last else found.fates
-        if fates.any():
-            self.least.add(found.rows(np.flatnonzero(fates == 0)))
-        else:
-            self.least.add_all(found)
         if found.distance.size:
             self.violations.append(found.violations(nodes))
+        if not fates.any() and found.bound.min() >= 0.0:
+            self.least.add_all(found)
+            return fates[:0]
+        self.least.add(found.rows(np.flatnonzero(fates == 0)))
         if np.any(touching := (found.bound < 0.0) & (fates == 0)):
             self.touched.append(cells.rows(np.flatnonzero(touching)))
         open_cells = np.flatnonzero(fates == 2)

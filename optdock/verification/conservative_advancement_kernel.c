@@ -276,15 +276,14 @@ typedef struct {
     const double *motions, *within;
 } Stretches;
 
-/* A circle around all circles of a body: its centre is that of the middle one. Return its radius [m], with a margin for
- * rounding at coordinates of the size of (x, y). */
-static double reach_around(const Body *body, double x, double y)
+/* Radius [m] of a circle around all circles of a body, whose centre is that of the middle one, with a margin. */
+static double reach_around(const Body *body)
 {
     const double *middle = body->centres + 2 * (body->circles / 2);
     double away = 0.0;
     for (int64_t i = 0; i < body->circles; i++)
         away = most(away, hypot(body->centres[2 * i] - middle[0], body->centres[2 * i + 1] - middle[1]));
-    return body->radius + away + 1e-9 + 1e-14 * (fabs(x) + fabs(y));
+    return body->radius + away + 1e-9;
 }
 
 /* Squared distances of the middle circle's centre from the boxes of the obstacles; out, (m,) [m^2]. */
@@ -317,21 +316,23 @@ static int bounds_of_body(const Body *body, const Stretches *some, const Obstacl
 {
     int64_t n = some->n, k = some->k, m = all->m;
     double *squared = work, *points = work + m, *centres = points + 2 * (body->corners + all->q);
-    int64_t *is_left = indices, *order = indices + m, *first = order + n;
+    int64_t *is_left = indices, *order = indices + m, *first = order + n, likely;
+    double around = reach_around(body);
 
     if (!group_by_pose(n, k, some->pose, first, order))
         return 0;
     for (int64_t p = 0; p < k; p++) {
         Pose at = {some->poses[3 * p], some->poses[3 * p + 1], some->turned[2 * p], some->turned[2 * p + 1]};
-        double farthest = -INFINITY, reach = reach_around(body, at.x, at.y);
+        double farthest = -INFINITY, reach = around + 1e-14 * (fabs(at.x) + fabs(at.y)); /* for rounding */
         for (int64_t j = first[p]; j < first[p + 1]; j++) {
             farthest = most(farthest, some->within[order[j]] + travel(body, stretch_at(some->motions, n, order[j])));
             row[order[j]] = -1;
         }
         place_circles(body, at, centres);
         squared_distances(body, centres, all, squared);
-        for (int64_t o = 0; o < m; o++) {
+        for (int64_t o = likely = 0; o < m; o++) {
             is_left[o] = is_beyond(squared[o], farthest, reach);
+            likely = squared[o] < squared[likely] ? o : likely;
             if (is_left[o])
                 continue;
             double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
@@ -355,12 +356,13 @@ static int bounds_of_body(const Body *body, const Stretches *some, const Obstacl
             }
         }
         double limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
-        for (int64_t o = 0; o < m; o++) {
+        for (int64_t j = -1; j < m; j++) { /* first the one that excludes most of the others */
+            int64_t o = j < 0 ? likely : j;
             if (!is_left[o] || is_beyond(squared[o], limit, reach))
                 continue;
             double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
-            for (int64_t j = first[p]; j < first[p + 1]; j++) {
-                int64_t i = order[j];
+            for (int64_t l = first[p]; l < first[p + 1]; l++) {
+                int64_t i = order[l];
                 keep_least(gap - travel(body, stretch_at(some->motions, n, i)), o, bound + i, row + i);
             }
             limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
@@ -705,7 +707,7 @@ static int touches(const int64_t *bad, const double *s, int64_t k, int64_t first
  *   needed     out, (k + 1,): required clearance at the poses, and the smallest distance of the pairs [m]
  *   pair_of    out, (2, k m bodies), pose and obstacle of the pairs that were evaluated exactly; distances: (k m bodies,)
  *   counts     out, (2,): pairs, and those that violate the rule
- *   work       22 n + m + 2 (corners + q + circles) numbers; indices: 6 n + m + 2 k + 1
+ *   work       22 n + 2 k + m + 2 (corners + q + circles) numbers; indices: 6 n + m + 2 k + 1
  *
  * Return 0, or -1 if an index is out of range. */
 int64_t optdock_clearance_round(
@@ -717,13 +719,12 @@ int64_t optdock_clearance_round(
     const double *upper, double *cells, int64_t *places, double *needed, int64_t *pair_of, double *distances, int64_t *counts,
     double *work, int64_t *indices)
 {
-    const double *g = rule_numbers;
-    Rule rule = {g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8], g[9], g[10], g[11]};
+    Rule rule = *(const Rule *)rule_numbers;
     Pieces path = {segments, kinds, pieces, pieces + knots, pieces + 2 * knots};
     Obstacles all = {m, q, rows, vertices, normals, offsets, lower, upper};
     Pairs pairs = {0, pair_of, pair_of + k * m * bodies, distances};
     double *motions = work, *within = work + 16 * n, *bound = within + 2 * n, *other = bound + 2 * n;
-    double *rest = other + 2 * n;
+    double *from_goal = other + 2 * n, *from_start = from_goal + k, *rest = from_start + k;
     int64_t *bad = indices, *row = bad + k, *other_row = row + 2 * n, *more = other_row + 2 * n;
     Stretches some = {2 * n, k, poses, turned, ends, motions, within};
     (void)corners;
@@ -734,19 +735,17 @@ int64_t optdock_clearance_round(
             segment[i] >= segments)
             return -1;
     for (int64_t p = 0; p < k; p++) {
-        double x = poses[3 * p], y = poses[3 * p + 1];
-        needed[p] = required_at(&rule, hypot(x - rule.goal_x, y - rule.goal_y),
-                                hypot(x - rule.start_x, y - rule.start_y));
+        from_goal[p] = hypot(poses[3 * p] - rule.goal_x, poses[3 * p + 1] - rule.goal_y);
+        from_start[p] = hypot(poses[3 * p] - rule.start_x, poses[3 * p + 1] - rule.start_y);
+        needed[p] = required_at(&rule, from_goal[p], from_start[p]);
         bad[p] = 0;
     }
     for (int64_t i = 0; i < n; i++) {
-        const double *a = poses + 3 * ends[i], *b = poses + 3 * ends[n + i];
         Stretch half[2];
         halves(&path, segment[i], edges[i], edges[n + i], turned + 2 * ends[i], turned + 2 * ends[n + i], half);
         double width = edges[n + i] - edges[i], sag = half[0].bend * (width * width) / 8.0; /* (C7) */
-        double goal = most(hypot(a[0] - rule.goal_x, a[1] - rule.goal_y), hypot(b[0] - rule.goal_x, b[1] - rule.goal_y));
-        double start =
-            most(hypot(a[0] - rule.start_x, a[1] - rule.start_y), hypot(b[0] - rule.start_x, b[1] - rule.start_y));
+        double goal = most(from_goal[ends[i]], from_goal[ends[n + i]]);
+        double start = most(from_start[ends[i]], from_start[ends[n + i]]);
         cells[n + i] = required_at(&rule, goal + sag, start + sag);
         within[i] = within[n + i] = most(cells[n + i], attained);
         keep_stretch(motions, 2 * n, i, half[0]);

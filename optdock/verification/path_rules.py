@@ -35,7 +35,9 @@ _LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # the 
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Return every violation of a rule other than clearance, in the order of the rules below."""
-    return tuple(violation for rule in _RULES for violation in rule(path, problem))
+    has_polylines = any(isinstance(segment, PolylineSegment) for segment in path.segments)
+    rules = _RULES if has_polylines else _RULES_WITHOUT_POLYLINES
+    return tuple([violation for rule in rules for violation in rule(path, problem)])
 
 
 def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
@@ -176,11 +178,9 @@ def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
     not of the path. A step of length h on a smooth curve moves laterally by h^2 / 12 times its change of curvature;
     this effect of sampling is subtracted.
     """
-    polylines, sideways = list(_polylines(path)), [np.zeros((1, 3))]
-    if not polylines:
-        return
+    sideways = [np.zeros((1, 3))]
     driven, places = [np.zeros(1)], [np.zeros(1)]
-    for segment, steps in polylines:
+    for segment, steps in _polylines(path):
         moving = steps.moving()
         found = moving.chord * np.sin(moving.slip) + moving.arc**2 / 12.0 * _curvature_changes(moving)
         heading = moving.motion - moving.slip
@@ -191,7 +191,7 @@ def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
     total = np.cumsum(np.concatenate(sideways), axis=0)
     spared = np.hstack((total, -total)) - DRIFT_PER_METRE * np.cumsum(np.concatenate(driven))[:, None]
     drift = np.max(spared - np.minimum.accumulate(spared, axis=0), axis=1)
-    longest = max(float(np.max(steps.arc)) for _, steps in polylines)
+    longest = max(float(np.max(steps.arc)) for _, steps in _polylines(path))
     one_step = SLIP_TOLERANCE * min(longest, LONGEST_STEP)  # slip of a step across a kink of the curvature
     allowed = DRIFT_TOLERANCE + one_step
     k = int(np.argmax(drift))
@@ -267,12 +267,12 @@ def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
 
 def max_curvature(path: Path) -> float:
     """Return the largest driven |curvature| [1/m]; infinite if a polyline turns in place."""
-    return max(float(np.max(np.abs(_curvature_samples(segment)[1]), initial=0.0)) for segment in path.segments)
+    return max([float(np.abs(_curvature_samples(segment)[1]).max(initial=0.0)) for segment in path.segments])
 
 
 def max_curvature_rate(path: Path) -> float:
     """Return the largest |d curvature / ds| within a gear [1/m^2]; a difference quotient for polylines."""
-    return max(float(np.max(np.abs(_rate_samples(segment)[1]), initial=0.0)) for segment in path.segments)
+    return max([float(np.abs(_rate_samples(segment)[1]).max(initial=0.0)) for segment in path.segments])
 
 
 def _curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]:
@@ -292,7 +292,7 @@ def _beyond(
         s, values = samples(segment)
         if values.size == 0:
             continue
-        k = int(np.argmax(np.abs(values)))
+        k = int(np.abs(values).argmax())
         tolerance = SAMPLED_RTOL if isinstance(segment, PolylineSegment) else EXACT_RTOL
         if not abs(values[k]) <= limit * (1.0 + tolerance):
             at, found = float(start + s[k]), float(values[k])
@@ -357,3 +357,5 @@ _RULES = (
     *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
     *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight, _without_rule),
 )
+_OF_POLYLINES = (_slip, _drift, _creep, _winding)  # which no path without polylines violates
+_RULES_WITHOUT_POLYLINES = tuple(rule for rule in _RULES if rule not in _OF_POLYLINES)

@@ -87,8 +87,8 @@ def trajectory_violations(
     peaks = [*_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes), *_rates(law, driven, limits)]
     turning = [peak for turn in turns for peak in _turn_peaks(law, turn, extremes, limits)]
     ratios = {**dict.fromkeys(("speed", "acceleration", "deceleration", "jerk"), 0.0), **judge.ratios}
-    more = [("steering_rate", wait.ratio) for wait in waits]
-    for kind, ratio in (*((peak.kind, peak.ratio) for peak in (*peaks, *turning)), *more):
+    found = [(peak.kind, peak.value / peak.limit) for peak in (*peaks, *turning)]
+    for kind, ratio in (*found, *[("steering_rate", wait.ratio) for wait in waits]):
         ratios[kind] = max(ratios.get(kind, 0.0), ratio)
     linear = {violation.kind: violation for violation in _exceeded(peaks, "")}
     unruled = _without_rule(finite, rules)
@@ -102,7 +102,7 @@ def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation
             message = f"the motion {name} at s = {found:.6g} m, not at {wanted:.6g} m"
             yield Violation("coverage", message, float(found), float(abs(found - wanted)))
     yield from _turns_beyond(trajectory)
-    k = int(np.argmin(extremes.v))
+    k = int(extremes.v.argmin())
     slowest, at = float(extremes.v[k]), float(extremes.t[k])
     if slowest < -REST_TOLERANCE:
         yield Violation("coverage", f"the motion runs backwards at {-slowest:.3g} m/s, t = {at:.3f} s", 0.0, -slowest)
@@ -162,14 +162,14 @@ def _distance_back(law: TimeLaw, extremes: _Extremes) -> float:
     """Return an upper bound of the distance of backward motion [m]."""
     borders, inside = extremes.v[: law.times.size], extremes.v[law.times.size :]
     slowest = np.minimum(np.minimum(borders[:-1], borders[1:]), inside)
-    return float(np.sum(law.durations * np.maximum(-slowest, 0.0)))
+    return float((law.durations * np.maximum(-slowest, 0.0)).sum())
 
 
 def _rest(trajectory: Trajectory) -> Iterator[Violation]:
     law = trajectory.time_law
     for name, s in (*(("cusp", s) for s in trajectory.path.cusps), ("end", trajectory.path.length)):
         k = -1 if name == "end" else _border_at(law, s)
-        miss = float(np.max(np.abs(law.states[k] - [s, 0.0, 0.0])))
+        miss = float(np.abs(law.states[k] - (s, 0.0, 0.0)).max())  # NaN stays
         if not miss <= REST_TOLERANCE:
             at, v, a = law.states[k]
             nearest = f"nearest phase border s = {at:.4f} m, v = {v:.3g}, a = {a:.3g}"
@@ -180,7 +180,7 @@ def _rest(trajectory: Trajectory) -> Iterator[Violation]:
 def _border_at(law: TimeLaw, s: float) -> int:
     """Return the phase border at `s` that is nearest to rest; if there is none at `s`, the nearest border."""
     off = np.abs(law.states[:, 0] - s)
-    moving = np.max(np.abs(law.states[:, 1:]), axis=1)
+    moving = np.abs(law.states[:, 1:]).max(axis=1)
     at = off <= REST_TOLERANCE
     return int(np.argmin(np.where(at, moving, np.inf) if at.any() else off))
 
@@ -201,11 +201,6 @@ class _Peak(NamedTuple):
     value: float
     t: float
     s: float
-
-    @property
-    def ratio(self) -> float:
-        """Ratio of the value to the limit."""
-        return self.value / self.limit
 
 
 class _Wait(NamedTuple):
