@@ -32,7 +32,7 @@ from smoothers.scp.qp_step import (
     trusted_nodes,
     zone_of,
 )
-from smoothers.scp.rollout import Rollout, Variables, in_order, sensitivity, squared
+from smoothers.scp.rollout import Rollout, Variables, in_order, sensitivity, squared_motion
 from smoothers.scp.term_rows import linearized_terms, terms_along
 from smoothers.scp.visibility_constraint import linearized_view, view_along
 
@@ -255,7 +255,7 @@ def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) 
     gap = headings + _trusted(basis, step).size * size
     node, out = np.empty(most, dtype=np.int64), np.empty(gap + most * (size + 1))
     work, indices = pool_of_this_thread().work(
-        size * (3 * nodes + 4 * size + 5) + room * (size + 2) + 3 * discs + 9 * p + 4 * (2 * v + k),
+        size * (3 * nodes + 4) + room * (size + 2) + 3 * discs + 9 * p + 4 * (2 * v + k),
         15 * p + (parts + nodes) * obstacles + 2 * room,
     )
     arrays = (
@@ -290,8 +290,7 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     by = sensitivity(basis, current.variables, rollout)
     goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), current.end_error
     share = float(in_order(current.variables.lengths)) / basis.num_intervals
-    along_x, along_y, turned = (squared(part) for part in by)
-    motion = share * (along_x + along_y + settings.yaw_motion * turned)
+    motion = share * squared_motion(by, settings.yaw_motion)
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
     rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active)

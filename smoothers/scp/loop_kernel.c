@@ -239,64 +239,73 @@ typedef struct {
     const double *x, *y, *yaw;
 } Sensitivity;
 
-/* Add the products of a node's derivatives, of which only the first `knots` and `gears` are not 0, to a lower
- * triangle. */
-static void add_squares(const Program *p, const double *row, int64_t knots, int64_t gears, double *sums)
+/* Derivatives at a node: of x and y, of the yaw times the root of its weight, and of the lateral motion. */
+typedef struct {
+    const double *x, *y, *yaw, *across;
+} NodeRows;
+
+/* Add the products of a node's derivatives in row i and the columns first to end - 1. */
+static void add_products(const NodeRows *at, int64_t size, int64_t i, int64_t first, int64_t end, double *motion,
+                         double *lateral)
 {
-    for (int64_t i = 0; i < knots; i++)
-        for (int64_t j = 0; j <= i; j++)
-            sums[i * p->size + j] += row[i] * row[j];
-    for (int64_t i = p->n.knots; i < p->n.knots + gears; i++) {
-        for (int64_t j = 0; j < knots; j++)
-            sums[i * p->size + j] += row[i] * row[j];
-        for (int64_t j = p->n.knots; j <= i; j++)
-            sums[i * p->size + j] += row[i] * row[j];
+    double x = at->x[i], y = at->y[i], yaw = at->yaw[i], across = at->across[i];
+    for (int64_t j = first; j < end; j++) {
+        motion[i * size + j] += x * at->x[j] + y * at->y[j] + yaw * at->yaw[j];
+        lateral[i * size + j] += across * at->across[j];
     }
 }
 
-/* Sums over the nodes: squared motion in x, y and yaw, squared lateral motion (size, size) each, and the gradient of the
- * squared laterals times `scale`. */
-static void sum_over_nodes(const Program *p, const Sensitivity *by, const double *poses, double scale, double *squares,
-                           double *moved, double *gradient)
+/* Sums over the nodes: lower triangles of squared motion and squared lateral motion, (size, size) each, and the gradient
+ * of the squared laterals times `scale`. Of a node's derivatives, those by later knots and gears are 0. rows: work,
+ * (2, size). */
+static void sum_over_nodes(const Program *p, const Sensitivity *by, const double *poses, double scale, double *motion,
+                           double *squares, double *gradient, double *rows)
 {
-    int64_t size = p->size, square = size * size;
-    memset(squares, 0, (size_t)(4 * square) * sizeof(double));
-    memset(gradient, 0, (size_t)size * sizeof(double));
+    int64_t size = p->size;
+    double *across = rows, *turned = rows + size, weight = sqrt(p->is.yaw_motion);
+    for (int64_t j = 0; j < size; j++)
+        gradient[j] = 0.0;
+    for (int64_t j = 0; j < size * size; j++)
+        motion[j] = squares[j] = 0.0;
     for (int64_t m = 0, node = 0, first = 0; m < p->n.gears; m++) {
         int64_t spans = p->divisions[2 * m], cells = p->divisions[2 * m + 1];
         for (int64_t i = 0; i <= cells; i++, node++) {
-            const double *x = by->x + node * size, *y = by->y + node * size, *normal = p->normals + 2 * node;
+            const double *normal = p->normals + 2 * node;
+            NodeRows at = {by->x + node * size, by->y + node * size, turned, across};
             int64_t knots = first + (i < cells ? i * spans / cells : spans - 1) + 2;
             double away = scale * lateral(p, poses, node);
             for (int64_t j = 0; j < size; j++) {
-                moved[j] = normal[0] * x[j] + normal[1] * y[j];
-                gradient[j] += away * moved[j];
+                across[j] = normal[0] * at.x[j] + normal[1] * at.y[j];
+                turned[j] = weight * by->yaw[node * size + j];
+                gradient[j] += away * across[j];
             }
-            add_squares(p, x, knots, m + 1, squares);
-            add_squares(p, y, knots, m + 1, squares + square);
-            add_squares(p, by->yaw + node * size, knots, m + 1, squares + 2 * square);
-            add_squares(p, moved, knots, m + 1, squares + 3 * square);
+            for (int64_t row = 0; row < knots; row++)
+                add_products(&at, size, row, 0, row + 1, motion, squares);
+            for (int64_t row = p->n.knots; row <= p->n.knots + m; row++) {
+                add_products(&at, size, row, 0, knots, motion, squares);
+                add_products(&at, size, row, p->n.knots, row + 1, motion, squares);
+            }
         }
         first += spans + 1;
     }
 }
 
 /* The functions `squared_motion` and `CostModel.quadratic`. out: gradient (size,), Hessian and motion (size, size).
- * work: 4 size^2 + size. */
+ * work: (2, size). */
 static void quadratic_model(const Program *p, const Iterate *at, const Sensitivity *by, double *out, double *work)
 {
     int64_t size = p->size, knots = p->n.knots, square = size * size;
-    double *gradient = out, *hessian = gradient + size, *motion = hessian + square, *moved = work + 4 * square;
-    const double *z = at->z, *x = work, *y = x + square, *yaw = y + square, *across = yaw + square;
+    double *gradient = out, *hessian = gradient + size, *motion = hessian + square;
+    const double *z = at->z;
     double total = sum_of(z + knots, p->n.gears), share = total / (double)p->n.intervals;
     double tracking = p->is.tracking / (double)p->n.intervals, scale = 2.0 * tracking * total;
     double tracked = tracking * squared_laterals(p, at->rollout);
-    sum_over_nodes(p, by, at->rollout, scale, work, moved, gradient);
+    sum_over_nodes(p, by, at->rollout, scale, motion, hessian, gradient, work);
     for (int64_t i = 0; i < size; i++) {
         for (int64_t j = 0; j <= i; j++) {
             int64_t e = i * size + j;
-            motion[e] = motion[j * size + i] = share * (x[e] + y[e] + p->is.yaw_motion * yaw[e]);
-            hessian[e] = hessian[j * size + i] = scale * across[e];
+            motion[e] = motion[j * size + i] = share * motion[e];
+            hessian[e] = hessian[j * size + i] = scale * hessian[e];
         }
     }
     for (int64_t m = 0, j = 0; m < p->n.gears; m++) {
@@ -536,7 +545,7 @@ static int64_t clearance_rows(const Program *p, const Iterate *at, const Sensiti
  *   out          out: gradient (size,), Hessian and motion (size, size), derivatives at the end (3, size), derivatives of
  *                the trusted headings (trusted, size), gaps (most,) and gradients (most, size) of the rows
  *   ints         work: 3 p + (parts + nodes) obstacles + 2 room + 12 p, room = (3 + 2 discs_per_node) p
- *   work         3 nodes size + 4 size^2 + 5 size + room (size + 2) + 3 discs + 9 p + 4 (2 v + k)
+ *   work         3 nodes size + 4 size + room (size + 2) + 3 discs + 9 p + 4 (2 v + k)
  *
  * Return the number of rows. */
 int64_t optdock_linearize(int64_t pairs, double buffer, const int64_t *counts, const double *numbers,

@@ -55,6 +55,7 @@ __all__ = [
     "blocks_for",
     "pool_of_this_thread",
     "prepare_programs",
+    "solve_natively",
     "solve_step",
     "step_program",
     "trusted_nodes",
@@ -139,7 +140,7 @@ class Subproblem(NamedTuple):
     rows: ClearanceRows  # clearance
 
 
-def _solve_natively(
+def solve_natively(
     nlp: NonlinearProgram,
     around: Subproblem,
     pool: ProgramPool,
@@ -147,6 +148,7 @@ def _solve_natively(
     proximal: float,
     penalties: Penalties,
 ) -> QpStep | None:
+    """Return the result of `solve_step`, whose arguments are the same, by the kernel."""
     (counts, numbers), basis, step, count = nlp.packed, nlp.basis, nlp.settings.step, around.rows.gap.size
     size, spans, trusted = basis.size, basis.span_gear.size, len(around.headings)
     n, fixed = size + 6 + step.zones, 3 + trusted + (2 * spans if math.isfinite(nlp.inner_bounds.rate) else 0)
@@ -178,7 +180,7 @@ def _solve_natively(
     return QpStep(work[:size].copy(), float(work[solved]))
 
 
-@twin_of(_solve_natively)
+@twin_of(solve_natively)
 def solve_step(
     nlp: NonlinearProgram,
     around: Subproblem,

@@ -7,6 +7,7 @@ indices, as in the kernel `rollout_kernel.c`.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,7 +18,17 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.basis import Basis
 
-__all__ = ["Rollout", "Sensitivity", "Variables", "displacements", "in_order", "roll_out", "sensitivity", "squared"]
+__all__ = [
+    "Rollout",
+    "Sensitivity",
+    "Variables",
+    "displacements",
+    "in_order",
+    "roll_out",
+    "sensitivity",
+    "squared",
+    "squared_motion",
+]
 
 _ROLL_OUT = Kernel("optdock_roll_out", sizes=4, numbers=0)
 _SENSITIVITY = Kernel("optdock_sensitivity", sizes=4, numbers=0)
@@ -68,6 +79,12 @@ def in_order(terms: FloatArray, axis: int = 0) -> FloatArray:
 def squared(rows: FloatArray) -> FloatArray:
     """Return the sum of the products of each row with itself, in the order of the rows. Shape (size, size)."""
     return in_order(rows[:, :, None] * rows[:, None])
+
+
+def squared_motion(by: Sensitivity, yaw_motion: float) -> FloatArray:
+    """Return the sum of the squared motions of the nodes, with a weight of squared angles [m^2]. Shape (size, size)."""
+    x, y, yaw = (part[:, :, None] * part[:, None] for part in (by.x, by.y, math.sqrt(yaw_motion) * by.yaw))
+    return in_order(x + y + yaw)
 
 
 def displacements(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> FloatArray:

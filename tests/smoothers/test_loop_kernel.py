@@ -16,7 +16,7 @@ from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import driven_path
 from smoothers.scp.loop import evaluated, linearized
 from smoothers.scp.nlp import Formulation, formulate
-from smoothers.scp.qp_step import Penalties, ProgramPool, solve_step
+from smoothers.scp.qp_step import Penalties, ProgramPool, solve_natively, solve_step
 from smoothers.scp.rollout import Variables
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
@@ -76,11 +76,20 @@ def in_both_lanes(function, *arguments):
 
 @pytest.mark.parametrize("name", FOOTPRINTS)
 @pytest.mark.parametrize("seed", range(8))
-def test_an_iteration_is_equal_in_both_lanes(cases, name, seed):
+def test_evaluation_and_linearization_are_equal_in_both_lanes(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
     start, moved = in_both_lanes(evaluated, nlp, variables)
     assert moved == 0.0
-    around = in_both_lanes(linearized, nlp, start, 1e-3 * seed)
+    in_both_lanes(linearized, nlp, start, 1e-3 * seed)
+    changed = Variables(start.variables.curvature + 0.05, 1.02 * start.variables.lengths)
+    assert in_both_lanes(evaluated, nlp, changed, start)[1] > 0.0
+
+
+@pytest.mark.parametrize("name", FOOTPRINTS)
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
+    nlp, variables = drawn(cases, seed, name)
+    around = linearized(nlp, evaluated(nlp, variables)[0], 1e-3)
     pools, penalties = (ProgramPool(), ProgramPool()), Penalties(300.0 * 1.6**seed, 1000.0 * 1.6**seed)
     for trust_region, proximal in ((0.2, 1.0), (0.05, 3.0)):  # the second one begins with the active rows of the first
         steps = []
@@ -91,9 +100,17 @@ def test_an_iteration_is_equal_in_both_lanes(cases, name, seed):
         np.testing.assert_allclose(steps[1].change, steps[0].change, rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(steps[1].gain, steps[0].gain, rtol=1e-11)
         assert np.array_equal(pools[0].latest.active, pools[1].latest.active)
-    changed = np.concatenate(start.variables) + steps[0].change
-    after = Variables(changed[: nlp.basis.num_knots], changed[nlp.basis.num_knots :])
-    assert in_both_lanes(evaluated, nlp, after, start)[1] > 0.0
+
+
+@pytest.mark.parametrize("name", FOOTPRINTS)
+@pytest.mark.parametrize("seed", range(8))
+def test_the_guess_does_not_change_a_step(cases, name, seed):
+    nlp, variables = drawn(cases, seed, name)
+    around = linearized(nlp, evaluated(nlp, variables)[0], 1e-3)
+    pool, step = ProgramPool(), (0.2, 1.0, Penalties(300.0, 1000.0))
+    first = solve_natively(nlp, around, pool, *step)
+    again = solve_natively(nlp, around, pool, *step)
+    np.testing.assert_allclose(again.change, first.change, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", FOOTPRINTS)
@@ -121,7 +138,7 @@ def test_without_obstacles_there_are_no_rows(cases):
     assert around.rows.gradient.shape == (0, nlp.basis.size)
 
 
-def test_a_program_without_a_solution_has_no_step(cases):
+def test_a_program_that_no_library_solves_has_no_step(cases):
     nlp, variables = drawn(cases, 3, "box")
     start, _ = evaluated(nlp, variables)
     around = linearized(nlp, start, 1e-3)

@@ -470,9 +470,9 @@ static void requirements(const Motion *motion, int64_t left, double *first, doub
 }
 
 /* Write the margin (S11) of a pair and its terms. Rows of the result, (6 v + 2 k + 4, p): hull x, hull y, axis x, axis y,
- * heights, outline x, outline y, top, margin. */
+ * heights, outline x, outline y, top, margin. dip: work, (v,). */
 static void write_pair(Counts n, const Scene *scene, const Motion *motion, const Pair *pair, Vector axis, int64_t row,
-                       double *out, int64_t p)
+                       double *dip, double *out, int64_t p)
 {
     double *heights = out + (2 * pair->count + 2) * p, *outline = heights + pair->count * p;
     double first, last, top, margin = 0.0;
@@ -480,7 +480,8 @@ static void write_pair(Counts n, const Scene *scene, const Motion *motion, const
     requirements(motion, motion->left[row % n.intervals], &first, &last);
     for (int64_t i = 0; i < pair->count; i++) {
         double height = dot(axis, pair->hull[i]) - (i < n.v ? first : last);
-        height -= sag(n, scene, motion, pair, axis, row, i % n.v);
+        dip[i % n.v] = i < n.v ? sag(n, scene, motion, pair, axis, row, i) : dip[i % n.v];
+        height -= dip[i % n.v];
         out[i * p] = pair->hull[i].x;
         out[(pair->count + i) * p] = pair->hull[i].y;
         heights[i * p] = height;
@@ -565,7 +566,7 @@ int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int
             inward[j] = (Vector){c * x - s * y, s * x + c * y};
         }
         Vector axis = refined(&scene, &pair, best_candidate(&pair, inward), points);
-        write_pair(n, &scene, &motion, &pair, axis, row, out + i, p);
+        write_pair(n, &scene, &motion, &pair, axis, row, (double *)points, out + i, p);
         pairs[i] = row % intervals;
         pairs[p + i] = part;
         pairs[2 * p + i] = obstacle_of[i];
