@@ -126,21 +126,23 @@ class InitialGuesses:
         """The fit, or the pursuit if the fit deviates too far from the input."""
         settings, driven = self.nlp.settings.guess, self._fit_driven
         turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
-        is_near = largest_deviation(self.nlp, driven) < settings.astray and turned < settings.turned_away
+        is_near = self._fit_deviation < settings.astray and turned < settings.turned_away
         return self.fitted if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
         """Whether the tracked path is near the input, or much nearer than the fit or the pursuit."""
         settings = self.nlp.settings.guess
-        tracked, other = (largest_deviation(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
+        tracked, untracked = largest_deviation(self.nlp, self._driven(self.tracked)), self._untracked
+        is_fitted = untracked is self.fitted
+        other = self._fit_deviation if is_fitted else largest_deviation(self.nlp, self._driven(untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
         """The fit or the pursuit, unless it collides or misses the goal and the tracked path is better."""
         nlp, first = self.nlp, self._untracked
-        is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
+        is_near = first is self.fitted and self._fit_deviation < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
         begun = self._evaluated(first)
@@ -164,6 +166,10 @@ class InitialGuesses:
     @cached_property
     def _fit_driven(self) -> Rollout:
         return self._driven(self.fitted)
+
+    @cached_property
+    def _fit_deviation(self) -> float:
+        return largest_deviation(self.nlp, self._fit_driven)
 
     def _driven(self, variables: Variables) -> Rollout:
         return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
