@@ -356,7 +356,7 @@ static int bounds_of_body(const Body *body, const Stretches *some, const Obstacl
             }
         }
         double limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
-        for (int64_t j = -1; j < m; j++) { /* first the one that excludes most of the others */
+        for (int64_t j = m > 0 ? -1 : 0; j < m; j++) { /* first the one that excludes most of the others */
             int64_t o = j < 0 ? likely : j;
             if (!is_left[o] || is_beyond(squared[o], limit, reach))
                 continue;

@@ -195,8 +195,8 @@ def clipped(variables: Variables, bounds: VariableBounds) -> Variables:
     """Return the variables, clipped to their bounds."""
     knots = variables.curvature.size
     return Variables(
-        np.clip(variables.curvature, bounds.lower[:knots], bounds.upper[:knots]),
-        np.clip(variables.lengths, bounds.lower[knots:], bounds.upper[knots:]),
+        np.minimum(np.maximum(variables.curvature, bounds.lower[:knots]), bounds.upper[:knots]),
+        np.minimum(np.maximum(variables.lengths, bounds.lower[knots:]), bounds.upper[knots:]),
     )
 
 

@@ -10,37 +10,45 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import product_of_columns
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
-from smoothers.scp.goal_projection import clipped, end_sensitivity, limit_rate
+from smoothers.scp.goal_projection import clipped, limit_rate
 from smoothers.scp.loop import SearchGuess, evaluated
 from smoothers.scp.nlp import with_intervals
 from smoothers.scp.qp_step import Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
-from smoothers.scp.rollout import Variables, roll_out, sensitivity
+from smoothers.scp.rollout import Variables, in_order, roll_out, sensitivity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.rollout import Rollout
+    from smoothers.scp.rollout import Rollout, Sensitivity
     from smoothers.scp.settings import GuessSettings
 
-__all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit", "rest_of_earlier_result", "track"]
+__all__ = [
+    "EarlierResult",
+    "InitialGuesses",
+    "LeastSquares",
+    "largest_deviation",
+    "pure_pursuit",
+    "rest_of_earlier_result",
+    "track",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,21 +126,23 @@ class InitialGuesses:
         """The fit, or the pursuit if the fit deviates too far from the input."""
         settings, driven = self.nlp.settings.guess, self._fit_driven
         turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
-        is_near = largest_deviation(self.nlp, driven) < settings.astray and turned < settings.turned_away
+        is_near = self._fit_deviation < settings.astray and turned < settings.turned_away
         return self.fitted if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
         """Whether the tracked path is near the input, or much nearer than the fit or the pursuit."""
         settings = self.nlp.settings.guess
-        tracked, other = (largest_deviation(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
+        tracked, untracked = largest_deviation(self.nlp, self._driven(self.tracked)), self._untracked
+        is_fitted = untracked is self.fitted
+        other = self._fit_deviation if is_fitted else largest_deviation(self.nlp, self._driven(untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
         """The fit or the pursuit, unless it collides or misses the goal and the tracked path is better."""
         nlp, first = self.nlp, self._untracked
-        is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
+        is_near = first is self.fitted and self._fit_deviation < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
         begun = self._evaluated(first)
@@ -156,6 +166,10 @@ class InitialGuesses:
     @cached_property
     def _fit_driven(self) -> Rollout:
         return self._driven(self.fitted)
+
+    @cached_property
+    def _fit_deviation(self) -> float:
+        return largest_deviation(self.nlp, self._fit_driven)
 
     def _driven(self, variables: Variables) -> Rollout:
         return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
@@ -363,7 +377,7 @@ def track(
     """
     settings, knots = nlp.settings.tracking, nlp.basis.num_knots
     nlp = with_intervals(nlp, [min(cells, settings.most_intervals) for _, cells in nlp.basis.shape])
-    least_squares = _LeastSquares.of(nlp)
+    least_squares = LeastSquares.of(nlp)
     current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
     penalties = Penalties(0.0, settings.goal_weight)
     around: Subproblem | None = None
@@ -395,52 +409,112 @@ class _TrackedPath(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _LeastSquares:
+class LeastSquares:
     """Residuals of one program at every node, across and along the input."""
 
     nlp: NonlinearProgram
-    axes: tuple[FloatArray, FloatArray]  # unit vectors across and along the input, Shape (num_nodes, 2) each
-    weights: tuple[FloatArray, FloatArray]  # weights of the squared residuals, Shape (num_nodes,) each
+    # Shape (num_nodes, 6): position of the input, its normal, weights of the squared residuals across and along it
+    reference: FloatArray
     smoothness: float  # weight of the integral of the squared curvature rate
+    trusted: IntArray  # nodes whose headings the trust region bounds
 
     @classmethod
-    def of(cls, nlp: NonlinearProgram) -> _LeastSquares:
-        settings, basis, normals = nlp.settings.tracking, nlp.basis, nlp.cost.reference.normals
+    def of(cls, nlp: NonlinearProgram) -> LeastSquares:
+        """Return the residuals of a program."""
+        settings, basis = nlp.settings.tracking, nlp.basis
         share = settings.weight * float(nlp.lengths.sum()) / basis.num_intervals
-        across, along = np.full(basis.num_nodes, share), np.full(basis.num_nodes, share * settings.along)
-        cusps = basis.last_nodes[:-1]
-        across[cusps] = along[cusps] = share * settings.cusp
-        axes = normals, np.column_stack((-normals[:, 1], normals[:, 0]))
-        return cls(nlp, axes, (across, along), settings.smoothness * nlp.cost.factors[1])
+        reference = np.empty((basis.num_nodes, 6))
+        reference[:, :2], reference[:, 2:4] = nlp.cost.reference
+        reference[:, 4:] = share, share * settings.along
+        reference[basis.last_nodes[:-1], 4:] = share * settings.cusp
+        smoothness = settings.smoothness * nlp.cost.factors[1]
+        return cls(nlp, reference, smoothness, trusted_nodes(basis, nlp.settings.step))
 
     def at(self, variables: Variables) -> _TrackedPath:
         """Roll out the variables and compute the merit."""
-        nlp, basis = self.nlp, self.nlp.basis
-        rollout = roll_out(basis, variables, nlp.ends.start, nlp.ends.signs)
-        squares = sum(float(w @ r**2) for w, r in zip(self.weights, self._residuals(rollout), strict=True))
-        slopes = variables.curvature * (basis.stiffness @ variables.curvature) / variables.lengths[basis.knot_gear]
-        missed = float(np.abs(nlp.ends.error(rollout)).sum())
-        merit = squares + self.smoothness * float(slopes.sum()) + nlp.settings.tracking.goal_weight * missed
-        return _TrackedPath(variables, rollout, merit)
+        rollout = roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
+        return _TrackedPath(variables, rollout, _merit_of(self, variables, rollout))
 
     def linearized(self, current: _TrackedPath) -> Subproblem:
         """Return the convex model at an iterate, without clearance."""
-        nlp, basis, (variables, rollout, _) = self.nlp, self.nlp.basis, current
-        by, knots = sensitivity(basis, variables, rollout), basis.num_knots
-        stiffness = self.smoothness / variables.lengths[basis.knot_gear] * basis.stiffness
-        gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
-        gradient[:knots], hessian[:knots, :knots] = 2.0 * (stiffness @ variables.curvature), 2.0 * stiffness
-        for axis, weight, residual in zip(self.axes, self.weights, self._residuals(rollout), strict=True):
-            moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
-            gradient += 2.0 * (weight * residual) @ moved
-            hessian += 2.0 * product_of_columns(moved, weight[:, None] * moved)
-        goal = end_sensitivity(basis, variables, rollout.moves), nlp.ends.error(rollout)
-        headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
-        no_rows = ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
-        motion = np.eye(basis.size)
-        return Subproblem(variables, Quadratic(gradient, hessian), motion, goal, headings, no_rows)
+        basis, (variables, rollout, _) = self.nlp.basis, current
+        by = sensitivity(basis, variables, rollout)
+        goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), self.nlp.ends.error(rollout)
+        motion, no_rows = _without_clearance(basis.size)
+        return Subproblem(variables, _model_of(self, current, by), motion, goal, by.yaw[self.trusted], no_rows)
 
-    def _residuals(self, rollout: Rollout) -> tuple[FloatArray, FloatArray]:
-        away = rollout.poses[:, :2] - self.nlp.traced.positions
-        across, along = (axis[:, 0] * away[:, 0] + axis[:, 1] * away[:, 1] for axis in self.axes)
-        return across, along
+    def residuals(self, rollout: Rollout) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Yield the axis, Shape (num_nodes, 2), the residuals and their weights, across the input and along it."""
+        x, y = (rollout.poses[:, :2] - self.reference[:, :2]).T
+        across = self.reference[:, 2:4]
+        along = np.column_stack((-across[:, 1], across[:, 0]))
+        for i, axis in enumerate((across, along)):
+            yield axis, axis[:, 0] * x + axis[:, 1] * y, self.reference[:, 4 + i]
+
+
+@lru_cache(maxsize=16)
+def _without_clearance(size: int) -> tuple[FloatArray, ClearanceRows]:
+    """Return the squared motion and the empty rows of a subproblem of tracking, for the number of its variables."""
+    return readonly(np.eye(size)), ClearanceRows(np.zeros((0, size)), np.zeros(0), np.zeros(0, dtype=np.int64))
+
+
+_MERIT = Kernel("optdock_tracking_merit", sizes=3, numbers=2)
+_MODEL = Kernel("optdock_tracking_model", sizes=3, numbers=1)
+
+
+def _arrays(
+    least: LeastSquares, variables: Variables, rollout: Rollout
+) -> tuple[tuple[FloatArray | IntArray, int], ...]:
+    """Return the arrays that both kernels read."""
+    basis = least.nlp.basis
+    return (
+        (least.reference, 6 * basis.num_nodes),
+        (basis.divisions, 2 * basis.num_gears),
+        (basis.stiffness, basis.num_knots**2),
+        (np.concatenate(variables), basis.size),
+        (rollout.poses, 3 * basis.num_nodes),
+    )
+
+
+def _merit_natively(least: LeastSquares, variables: Variables, rollout: Rollout) -> float:
+    basis, found = least.nlp.basis, np.empty(1)
+    numbers = least.smoothness, least.nlp.settings.tracking.goal_weight
+    arrays = (*_arrays(least, variables, rollout), (least.nlp.ends.target, 3), (found, 1))
+    _MERIT((basis.num_nodes, basis.num_knots, basis.num_gears), numbers, arrays)
+    return float(found[0])
+
+
+@twin_of(_merit_natively)
+def _merit_of(least: LeastSquares, variables: Variables, rollout: Rollout) -> float:
+    """Return the sum of the weighted squares, the smoothness and the error at the goal."""
+    nlp, basis = least.nlp, least.nlp.basis
+    across, along = (float(in_order(w * (r * r))) for _, r, w in least.residuals(rollout))
+    slopes = in_order(basis.stiffness * variables.curvature, 1)
+    bent = float(in_order(variables.curvature * slopes / variables.lengths[basis.knot_gear]))
+    missed = float(in_order(np.abs(nlp.ends.error(rollout))))
+    return across + along + least.smoothness * bent + nlp.settings.tracking.goal_weight * missed
+
+
+def _model_natively(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Quadratic:
+    basis, (variables, rollout, _) = least.nlp.basis, current
+    size, entries = basis.size, basis.size * basis.num_nodes
+    both = size * (size + 1)
+    out, work = np.empty(both), np.empty(both + size)
+    derived = (by.x, entries), (by.y, entries), (out, both), (work, both + size)
+    counts = basis.num_nodes, basis.num_knots, basis.num_gears
+    _MODEL(counts, (least.smoothness,), (*_arrays(least, variables, rollout), *derived))
+    return Quadratic(out[:size], out[size:].reshape(size, size))
+
+
+@twin_of(_model_natively)
+def _model_of(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Quadratic:
+    """Return the gradient and the Gauss-Newton Hessian of the merit without the error at the goal."""
+    basis, (variables, rollout, _), knots = least.nlp.basis, current, least.nlp.basis.num_knots
+    stiffness = least.smoothness / variables.lengths[basis.knot_gear] * basis.stiffness
+    gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
+    gradient[:knots], hessian[:knots, :knots] = 2.0 * in_order(stiffness * variables.curvature, 1), 2.0 * stiffness
+    for axis, residual, weight in least.residuals(rollout):
+        moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
+        gradient += 2.0 * in_order((weight * residual)[:, None] * moved)
+        hessian += 2.0 * in_order(weight[:, None, None] * (moved[:, :, None] * moved[:, None]))
+    return Quadratic(gradient, hessian)

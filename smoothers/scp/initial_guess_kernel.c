@@ -1,7 +1,8 @@
-/* The pure pursuit of one gear: the function `_drive_of` of `initial_guess.py` in C.
+/* First guesses of the smoother: the pure pursuit of one gear and the least squares of tracking, the functions
+ * `_drive_of`, `_merit_of` and `_model_of` of `initial_guess.py` in C.
  *
- * Operations are evaluated in the order of the twin, with the functions of the C library. A search for a path uses the
- * result as a first guess; the certificate does not. */
+ * Operations are evaluated in the order of the twins, with the functions of the C library. A search for a path uses the
+ * results as its beginning; the certificate does not. */
 
 #include <math.h>
 #include <stdint.h>
@@ -113,4 +114,106 @@ int64_t optdock_pursue(int64_t points_count, int64_t inside, int64_t beyond, int
     pose[1] = place.y;
     pose[2] = yaw;
     return count;
+}
+
+/* ---- Tracking (S22) ---- */
+
+/* A node of the input: position, normal, and weights of the squared distances across and along the input. */
+typedef struct {
+    double x, y, normal_x, normal_y, weights[2];
+} Node;
+
+/* The axis across the input (0) or along it (1). */
+static Vector axis_of(const Node *node, int axis)
+{
+    return axis == 0 ? (Vector){node->normal_x, node->normal_y} : (Vector){-node->normal_y, node->normal_x};
+}
+
+/* Compute the merit of a path.
+ *
+ *   nodes, knots, gears   of the path
+ *   smoothness, goal      weights of the squared curvature rate and of the error at the goal
+ *   reference   see `Node`, (nodes, 6)
+ *   divisions   spans and intervals of each gear, (gears, 2)
+ *   stiffness   (knots, knots), see `Basis`
+ *   z           curvatures and lengths, (knots + gears,)
+ *   poses       (nodes, 3)
+ *   target      pose, (3,)
+ *   merit       out, (1,) */
+int64_t optdock_tracking_merit(int64_t nodes, int64_t knots, int64_t gears, double smoothness, double goal,
+                               const double *reference, const int64_t *divisions, const double *stiffness,
+                               const double *z, const double *poses, const double *target, double *merit)
+{
+    const Node *input = (const Node *)reference;
+    double squares[2] = {0.0, 0.0}, slopes = 0.0, missed = 0.0;
+    for (int axis = 0; axis < 2; axis++) {
+        for (int64_t k = 0; k < nodes; k++) {
+            Vector along = axis_of(input + k, axis);
+            double residual = along.x * (poses[3 * k] - input[k].x) + along.y * (poses[3 * k + 1] - input[k].y);
+            squares[axis] += input[k].weights[axis] * (residual * residual);
+        }
+    }
+    for (int64_t m = 0, i = 0; m < gears; m++) {
+        for (int64_t end = i + divisions[2 * m]; i <= end; i++) {
+            double slope = 0.0;
+            for (int64_t j = 0; j < knots; j++)
+                slope += stiffness[i * knots + j] * z[j];
+            slopes += z[i] * slope / z[knots + m];
+        }
+    }
+    for (int i = 0; i < 3; i++)
+        missed += fabs(poses[3 * (nodes - 1) + i] - target[i]);
+    merit[0] = squares[0] + squares[1] + smoothness * slopes + goal * missed;
+    return 0;
+}
+
+/* Compute the gradient and the Gauss-Newton Hessian of the merit without the error at the goal.
+ *
+ *   nodes ... poses   as above
+ *   by_x, by_y   derivatives of the positions, (nodes, knots + gears)
+ *   out          out, gradient (knots + gears,) and Hessian (knots + gears, knots + gears)
+ *   work         of the size of `out`, and (knots + gears,) */
+int64_t optdock_tracking_model(int64_t nodes, int64_t knots, int64_t gears, double smoothness, const double *reference,
+                               const int64_t *divisions, const double *stiffness, const double *z, const double *poses,
+                               const double *by_x, const double *by_y, double *out, double *work)
+{
+    const Node *input = (const Node *)reference;
+    int64_t size = knots + gears;
+    double *gradient = out, *hessian = out + size, *sum = work, *squares = sum + size, *moved = squares + size * size;
+    for (int64_t i = 0; i < size + size * size; i++)
+        out[i] = 0.0;
+    for (int64_t i = 0; i < knots; i++) {
+        for (int64_t m = 0, j = 0; m < gears; m++) {
+            for (int64_t end = j + divisions[2 * m]; j <= end; j++) {
+                double bend = smoothness / z[knots + m] * stiffness[i * knots + j];
+                gradient[i] += bend * z[j];
+                hessian[i * size + j] = 2.0 * bend;
+            }
+        }
+        gradient[i] *= 2.0;
+    }
+    for (int axis = 0; axis < 2; axis++) {
+        for (int64_t i = 0; i < size + size * size; i++)
+            work[i] = 0.0;
+        for (int64_t k = 0; k < nodes; k++) {
+            const double *x = by_x + k * size, *y = by_y + k * size;
+            Vector along = axis_of(input + k, axis);
+            double residual = along.x * (poses[3 * k] - input[k].x) + along.y * (poses[3 * k + 1] - input[k].y);
+            double weight = input[k].weights[axis], weighted = weight * residual;
+            for (int64_t i = 0; i < size; i++) {
+                moved[i] = along.x * x[i] + along.y * y[i];
+                sum[i] += weighted * moved[i];
+                if (moved[i] == 0.0) /* of all variables that act later on the path */
+                    continue;
+                for (int64_t j = 0; j <= i; j++)
+                    squares[i * size + j] += weight * (moved[i] * moved[j]);
+            }
+        }
+        for (int64_t i = 0; i < size; i++) {
+            gradient[i] += 2.0 * sum[i];
+            for (int64_t j = 0; j < size; j++)
+                hessian[i * size + j] += 2.0 * (j <= i ? squares[i * size + j] : squares[j * size + i]);
+        }
+    }
+    return 0;
 }

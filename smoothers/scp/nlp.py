@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import frozen
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
 from smoothers.scp.basis import basis_for
@@ -28,7 +29,7 @@ from smoothers.scp.packed_program import packed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.limits import MotionLimits
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
@@ -137,9 +138,9 @@ def formulate(
     scales = _reference_scales(limits, settings.bounds)
     longest = settings.resolution.longest_span / scales[0]
     basis = basis_for(shape_for(lengths, chosen, longest, settings.resolution), settings.resolution.fit_smoothing)
-    start = problem.start.as_array()
-    start[2] += 2.0 * np.pi * round((path.start.yaw - start[2]) / (2.0 * np.pi))
-    traced = trace(path, basis, traced_lengths, start[2])
+    start, yaw = problem.start.as_array(), problem.start.yaw
+    start[2] = yaw + 2.0 * math.pi * round((path.start.yaw - yaw) / (2.0 * math.pi))
+    traced = trace(path, basis, traced_lengths, float(start[2]))
     radius = 1.0 / min(_curvature_bound(limits, settings.bounds), 2.0)
     signs = np.array([float(segment.direction) for segment in path.segments])
     ends = Ends(start, _target(problem, signs[-1], traced.end_yaw), signs, settings.projection.reach * radius)
@@ -197,48 +198,66 @@ def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings
         longest: Longest span [m].
         settings: Limits of the numbers of spans and intervals.
     """
-    total = float(lengths.sum())
+    total, each = float(lengths.sum()), lengths.tolist()
     wanted = max(chosen.spans, min(settings.most_spans, math.ceil(total / longest)))
-    spans = [max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total)) for length in lengths]
-    cells = [math.ceil(length / (q * chosen.interval)) for length, q in zip(lengths, spans, strict=True)]
+    spans = [max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total)) for length in each]
+    cells = [math.ceil(length / (q * chosen.interval)) for length, q in zip(each, spans, strict=True)]
     fewest, most = settings.fewest_intervals, settings.most_intervals
     return tuple((q, min(max(r, fewest), most)) for q, r in zip(spans, cells, strict=True))
 
 
+class _NodesOfGears(NamedTuple):
+    """Indices of nodes and intervals that depend only on the basis."""
+
+    shares: tuple[FloatArray, ...]  # per gear, `Basis.fraction` of its nodes
+    right: IntArray  # node at which each interval ends
+    inner: IntArray  # nodes between two intervals of one gear
+    last: IntArray  # last interval of each gear
+
+
+@lru_cache(maxsize=16)  # as many as bases
+def _nodes_of(basis: Basis) -> _NodesOfGears:
+    shares = tuple(basis.fraction[basis.node_gear == m] for m in range(basis.num_gears))
+    inner = basis.left[basis.fraction[basis.left] > 0.0]
+    return frozen(_NodesOfGears(shares, basis.left + 1, inner, basis.last_nodes - np.arange(basis.num_gears) - 1))
+
+
 def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> TracedInput:
     """Return the input at the nodes of `basis`; its headings are directions of chords, not yaws."""
-    poses = []
-    for m, segment in enumerate(path.segments):
-        share = basis.fraction[basis.node_gear == m]
-        poses.append(segment.poses_at(share * min(lengths[m], segment.length)))
-    nodes = np.concatenate(poses)
-    nodes[:, 2] = unwrap_yaw(np.concatenate(([start_yaw], nodes[:, 2])))[1:]
-    left = basis.left
-    chord = nodes[left + 1, :2] - nodes[left, :2]
+    indices, left, yaws = _nodes_of(basis), basis.left, np.empty(basis.num_nodes + 1)
+    poses = [
+        segment.poses_at(share * min(length, segment.length))
+        for segment, share, length in zip(path.segments, indices.shares, lengths.tolist(), strict=True)
+    ]
+    nodes = poses[0] if len(poses) == 1 else np.concatenate(poses)
+    yaws[0], yaws[1:] = start_yaw, nodes[:, 2]
+    node_yaw = unwrap_yaw(yaws)[1:]
+    chord = nodes[indices.right, :2] - nodes[left, :2]
     signs = np.array([int(segment.direction) for segment in path.segments])[basis.interval_gear]
     direction = np.arctan2(signs * chord[:, 1], signs * chord[:, 0])
-    yaw = 0.5 * (nodes[left, 2] + nodes[left + 1, 2])
+    yaw = 0.5 * (node_yaw[left] + node_yaw[indices.right])
     turned = wrap_angles(direction - yaw)
     moved = np.hypot(chord[:, 0], chord[:, 1]) > 1e-6
-    return TracedInput(nodes[:, :2], yaw + np.where(moved, turned, 0.0), float(nodes[-1, 2]))
+    return TracedInput(nodes[:, :2], yaw + np.where(moved, turned, 0.0), float(node_yaw[-1]))
 
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
     """Return positions and normals at the nodes; the heading of a node is the mean of the neighbouring headings."""
-    heading = np.empty(basis.num_nodes)
-    heading[basis.left] = traced.headings
-    heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]
-    inner = basis.left[basis.fraction[basis.left] > 0.0]
+    indices, heading, normals = _nodes_of(basis), np.empty(basis.num_nodes), np.empty((basis.num_nodes, 2))
+    heading[basis.left], heading[basis.last_nodes] = traced.headings, traced.headings[indices.last]
+    inner = indices.inner
     heading[inner] = 0.5 * (heading[inner] + heading[inner - 1])
-    return InputNodes(traced.positions, np.column_stack((-np.sin(heading), np.cos(heading))))
+    normals[:, 0], normals[:, 1] = -np.sin(heading), np.cos(heading)
+    return InputNodes(traced.positions, normals)
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
     """Return the goal moved back by the final straight, with a yaw that is continuous with the input."""
-    goal = problem.goal.as_array()
+    goal, yaw = problem.goal.as_array(), problem.goal.yaw
     back = sign * problem.dock.final_straight
-    goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])
-    goal[2] += 2.0 * np.pi * round((end_yaw - goal[2]) / (2.0 * np.pi))
+    goal[0] -= back * np.cos(yaw)
+    goal[1] -= back * np.sin(yaw)
+    goal[2] = yaw + 2.0 * math.pi * round((end_yaw - yaw) / (2.0 * math.pi))
     return goal
 
 
@@ -297,13 +316,16 @@ def _variable_bounds(
 ) -> tuple[VariableBounds, VariableBounds]:
     """Return the exact bounds, and the tighter bounds of the steps."""
     found, limits = [], problem.robot.limits
+    most = _curvature_bound(limits, settings)
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
     if basis.num_gears > 1:  # a robot in motion needs the first gear for stopping
         shortest[0] = max(shortest[0], min(_BRAKING_ROOM * _braking_distance(problem), longest[0]))
     for inside, rate_inside in ((1.0, 1.0), (settings.curvature_inside, settings.rate_inside)):
-        limit = np.full(basis.num_knots, inside * _curvature_bound(limits, settings))
-        lower, upper = np.concatenate((-limit, shortest)), np.concatenate((limit, longest))
+        upper = np.empty(basis.size)
+        upper[: basis.num_knots], upper[basis.num_knots :] = inside * most, longest
+        lower = -upper
+        lower[basis.num_knots :] = shortest
         if problem.start_curvature is not None:
             lower[0] = upper[0] = problem.start_curvature
         if problem.dock.final_straight > 0.0:

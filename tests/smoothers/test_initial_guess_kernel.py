@@ -1,15 +1,18 @@
-"""The kernel of the pure pursuit: equal to Python to the last bit."""
+"""The kernels of the pure pursuit and of tracking: equal to Python to the last bit, but for signs of zeros."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from experiments.fuzz.kinds.kernels import replaced
+from experiments.fuzz.kinds.kernels import BENT, drawn_program, replaced
 from optdock.kernels import using_kernels
 from smoothers.scp.basis import basis_for
-from smoothers.scp.initial_guess import pure_pursuit
+from smoothers.scp.cost import CostModel, InputNodes, Weights
+from smoothers.scp.initial_guess import LeastSquares, pure_pursuit
 from smoothers.scp.nlp import Ends, VariableBounds
+from smoothers.scp.rollout import Variables, roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -46,3 +49,47 @@ def test_both_lanes_pursue_equally_to_the_last_bit(degenerate):
                 found.append(pure_pursuit(*arguments))
         assert not replaced()  # a kernel that differs in its first call is replaced by its twin
         assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True)), seed
+
+
+def drawn_least_squares(seed, degenerate):
+    """The least squares of a random input around a random path, and variables."""
+    rng = np.random.default_rng(seed)
+    nlp, variables = drawn_program(rng, rng.normal(size=3), degenerate)
+    with using_kernels("twin"):
+        poses = roll_out(nlp.basis, variables, nlp.ends.start, nlp.ends.signs).poses
+    heading = poses[:, 2] + rng.normal(scale=0.1, size=len(poses))
+    normals = np.column_stack((-np.sin(heading), np.cos(heading)))
+    input_nodes = InputNodes(poses[:, :2] + rng.normal(scale=0.05, size=normals.shape), normals)
+    cost = CostModel(nlp.basis, Weights(), (1.5, 6.0), input_nodes)
+    return LeastSquares.of(replace(nlp, cost=cost)), variables
+
+
+@pytest.mark.parametrize("degenerate", BENT)
+def test_both_lanes_have_the_same_least_squares_to_the_last_bit(degenerate):
+    for seed in range(12):
+        (least, variables), found = drawn_least_squares(seed, degenerate), []
+        for lane in ("twin", "native"):
+            with using_kernels(lane):
+                current = least.at(variables)
+                around = least.linearized(current)
+            found.append((current.merit, *around.quadratic))
+        assert not replaced()
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*found, strict=True)), seed
+
+
+def test_the_model_of_tracking_has_the_derivatives_of_its_merit():
+    least, variables = drawn_least_squares(3, "none")
+    nlp, at = least.nlp, np.concatenate(variables)
+    knots, step = nlp.basis.num_knots, 1e-6
+
+    def squares(change):
+        moved = Variables(at[:knots] + change[:knots], variables.lengths)
+        path = least.at(moved)
+        missed = float(np.abs(nlp.ends.error(path.rollout)).sum())
+        return path.merit - nlp.settings.tracking.goal_weight * missed
+
+    gradient = least.linearized(least.at(variables)).quadratic.gradient
+    for j in range(knots):
+        change = step * (np.arange(at.size) == j)
+        slope = (squares(change) - squares(-change)) / (2.0 * step)
+        assert slope == pytest.approx(gradient[j], rel=1e-5, abs=1e-5 * np.abs(gradient).max())
