@@ -266,7 +266,8 @@ class IterationTimes:
     def expected_iteration(self, nlp: NonlinearProgram) -> float:
         """Return the predicted time [s] of an iteration on the benchmark machine."""
         corners = math.prod(nlp.scene.body.vertices.shape[:2])
-        return _expected(nlp, self._settings.iteration_seconds) + corners * self._settings.iteration_per_corner
+        evaluation = self._settings.iteration_per_corner * corners * nlp.basis.num_intervals
+        return _expected(nlp, self._settings.iteration_seconds) + evaluation
 
     def measured(self, seconds: float, expected: float) -> None:
         """Update the predictions with the measured time of an iteration [s] and its predicted time [s]."""
@@ -489,7 +490,8 @@ class Solver:
             self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
             self.outcome.iterations += progress.iterations > 0
             self._consider(progress.iterate)
-            self.times.measured(self.deadline.elapsed - before, expected)
+            if progress.iterations > 0:
+                self.times.measured(self.deadline.elapsed - before, expected)
             if self._enough(nlp):
                 return
             before = self.deadline.elapsed

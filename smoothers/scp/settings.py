@@ -219,10 +219,10 @@ class AnytimeSettings:
     are the time without obstacles, the time per nearby obstacle, and the time per metre, obstacle and part of the body.
     """
 
-    certificate_seconds: tuple[float, float, float] = (0.0025, 1.2e-5, 8e-7)
-    iteration_seconds: tuple[float, float, float] = (0.0013, 2e-5, 0.0)
-    term_seconds: tuple[float, float] = (2e-4, 1.2e-4)  # hard terms at the samples of a path, and per metre
-    iteration_per_corner: float = 4e-5  # [s] per corner of the footprint, an upper bound in nine of ten iterations
+    certificate_seconds: tuple[float, float, float] = (0.00125, 6e-6, 4e-7)
+    iteration_seconds: tuple[float, float, float] = (0.0003, 1e-5, 0.0)
+    term_seconds: tuple[float, float] = (1e-4, 6e-5)  # hard terms at the samples of a path, and per metre
+    iteration_per_corner: float = 7.5e-7  # [s] per corner of the footprint and interval, an upper bound in nine of ten
     certificate_per_iteration: float = 1.2  # before a certificate is measured
     longest_fades: float = 0.8  # of the longest iteration so far
     iteration_reserve: float = 1.1
@@ -231,7 +231,7 @@ class AnytimeSettings:
     grace: float = 0.0015  # [s]: by which the predicted end of the only certificate may be late
     latest: float = 0.0005  # [s] after the time limit: a certificate is abandoned
     pace_range: tuple[float, float] = (0.5, 4.0)  # of the measured speed; values beyond are disturbances
-    pace_at_warm_up: float = 0.6  # shortest relative to predicted iteration of the warm-up, on that machine
+    pace_at_warm_up: float = 1.25  # shortest relative to predicted iteration of the warm-up, on that machine
     repairs: int = 2  # of a path that is not certified
     repair_nearest: int = 4  # times the obstacles per interval, at each repair
     repair_buffer: float = 3.0  # times the buffer, at each repair

@@ -39,7 +39,7 @@ _POINTS, _SIDE = 2048, 128.0
 _POSES_PER_WIDTH = 12, 24  # least and most poses of a collision check per width of the robot
 _FINE_DISCS = 4  # across the width of the footprint
 _EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
-_AT_ONCE = 500  # poses per call of a kernel, at most a millisecond
+_AT_ONCE = 4000  # poses times (corners of the footprint + 4) per call of a kernel, at most a millisecond
 _MARGIN_SLOPE = 0.25  # at which the margin grows from both ends
 
 
@@ -155,13 +155,13 @@ class FreeSpace:
         `limits`: margin and start relief. The kernel gets a limit of poses per call as its last size, and `progress`
         and the arrays of the free space after its own arrays.
         """
-        progress = np.zeros(2, dtype=np.int64)
-        packed = self._packed(*limits)
+        progress, robot = np.zeros(2, dtype=np.int64), packed_footprint(self.footprint)
+        packed, most = self._packed(*limits), max(1, _AT_ONCE // (robot.corners * len(robot.sizes) + 4))
         while progress[0] < sizes[0]:
             self.poll()
             slots, values, missing = self.field.memory
             memory = (slots, slots.size), (values, values.size), (missing, missing.size)
-            kernel((*sizes, _AT_ONCE), numbers, (*arrays, (progress, 2), *packed, *memory, *self._room))
+            kernel((*sizes, most), numbers, (*arrays, (progress, 2), *packed, *memory, *self._room))
             if progress[1]:
                 self.field.compute(missing[: progress[1]])
 
