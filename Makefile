@@ -23,12 +23,13 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 
-.PHONY: help demo test check unit kernels test-kernels test-experiments docs test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
+.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make kernels      the kernels in C compiled anew, after a change of their sources; needs a C compiler"
 	@echo "make test-kernels  the kernels: tests with sanitizers, and tests that compare every call with the NumPy twin; one minute"
+	@echo "make test-aarch64  the kernels compiled for aarch64, by a cross compiler, and run by an emulator: same results as here"
 	@echo "make docs         the documentation and its tests: every snippet runs, warnings are errors; open site/index.html"
 	@echo "make test-experiments  the tests of benchmarks, studies and the fuzzer"
 	@echo "make test-ui      the page of optdock ui in Chromium, pictures in results/ui/: five minutes; skipped without Chromium"
@@ -83,6 +84,11 @@ test-kernels: kernels
 	$(BIN)/python .ci/sanitized_kernels.py
 	OPTDOCK_KERNELS=audit $(BIN)/python -m pytest -q $(AUDITED)
 	OPTDOCK_KERNELS=twin $(BIN)/python -m pytest -q tests/optdock/test_portfolio.py
+
+# The kernels compiled for aarch64 and run by an emulator of that processor.
+test-aarch64: kernels
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.13' 'unicorn>=2.1' pyelftools
+	$(BIN)/python .ci/aarch64_kernels.py $(ARGS)
 
 unit: $(STAMP)
 	$(BIN)/python -m optdock.build_kernels || echo "no kernels in C: the tests run with NumPy alone"

@@ -6,6 +6,8 @@ It needs `ziglang` (the cross compiler), `unicorn` (the emulator) and `pyelftool
 machine. A library whose products and sums were contracted, as is usual on this processor, must fail its self-test.
 """
 
+from __future__ import annotations
+
 import os
 import sys
 import tempfile
@@ -20,7 +22,6 @@ sys.path.insert(0, str(ROOT))
 from emulated_library import EmulatedLibrary  # noqa: E402 - the copy beside this file
 from sanitized_kernels import TESTS  # noqa: E402
 
-from experiments.benchmarks.kernels import EASY  # noqa: E402
 from experiments.families import instance  # noqa: E402
 from optdock import kernels  # noqa: E402
 from optdock.build_kernels import build  # noqa: E402
@@ -30,49 +31,53 @@ from optdock.planning.pipeline import plan_dock  # noqa: E402
 
 COMPILER = f"{sys.executable} -m ziglang cc -target aarch64-linux-gnu.2.17"
 # Comparisons of both lanes; those that compile a library, start a program or take long are left out.
-CHOSEN = "(last_bit or of_both_lanes or mpc_program or motion_table or look_ahead or first_ramp) and not source and not compiler and not version and not library"
+CHOSEN = (
+    "(last_bit or of_both_lanes or mpc_program or motion_table or look_ahead or first_ramp) "
+    "and not source and not compiler and not version and not library"
+)
+FAMILIES = ("open_s", "reverse_cusp", "angled_hexagon", "gap_blocked")
 BUDGET = 0.3  # [s] of counted work, the same with every kernel
 
 
-def compiled(folder, *flags):
+def compiled(folder: str, *flags: str) -> EmulatedLibrary:
     """Return the library compiled for aarch64."""
     os.environ["CC"] = COMPILER
     name = f"_aarch64{len(flags)}.shared"
     return EmulatedLibrary(build(ROOT, Path(folder, name), flags))
 
 
-def self_test(library):
+def self_test(library: EmulatedLibrary) -> int:
     """Return the number of the first failure of the self-test, or 0."""
     given = np.array(kernels._SELF_TESTED)
     return library.call("optdock_kernels_self_test", (), (), ((given, given.size),))
 
 
-def emulate(library):
+def emulate(library: EmulatedLibrary) -> None:
     """Run every kernel of this process in the emulator."""
     checked = kernels.Kernel.__call__
 
-    def call(self, sizes, numbers, arrays):
+    def call(self: kernels.Kernel, sizes: tuple, numbers: tuple, arrays: tuple) -> int:
         self._function = lambda *_: library.call(self._symbol, sizes, numbers, arrays)
         return checked(self, sizes, numbers, arrays)
 
     kernels.Kernel.__call__ = call
 
 
-def plans():
+def plans() -> list[tuple]:
     """Return prices and digests of plans and messages of failures."""
-    problems = [instance(family, 0).problem for family in (*EASY, "gap_blocked")]
+    problems = [instance(family, 0).problem for family in FAMILIES]
     found = []
     with budget_clock("counted"):
         for problem in problems:
             try:
                 plan = plan_dock(problem, time_budget=BUDGET)
                 found.append((plan.price, plan.path.digest, plan.trajectory.duration))
-            except OptdockError as error:
+            except OptdockError as error:  # noqa: PERF203 - a few problems
                 found.append((type(error).__name__, str(error)))
     return found
 
 
-def main(arguments):
+def main(arguments: list[str]) -> int:
     """Compile the library, run the tests and return their exit status."""
     with tempfile.TemporaryDirectory() as folder:
         library, contracted = compiled(folder), compiled(folder, "-ffp-contract=fast")

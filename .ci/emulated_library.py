@@ -4,15 +4,21 @@ Functions of the C library are those of this machine. Arrays are copied to the m
 call, and back after it.
 """
 
+from __future__ import annotations
+
 import ctypes
 import ctypes.util
 import struct
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 from elftools.elf.elffile import ELFFile
 from unicorn import UC_ARCH_ARM64, UC_HOOK_CODE, UC_MODE_ARM, Uc
 from unicorn import arm64_const as registers
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 _CODE, _IMPORTS, _STACK, _HEAP = 0x10_0000, 0x1000_0000, 0x2000_0000, 0x4000_0000  # addresses of the emulated memory
 _STACK_BYTES, _HEAP_BYTES, _PAGE = 1 << 20, 1 << 27, 1 << 12
@@ -34,10 +40,10 @@ class EmulatedLibrary:
         called: Names of the functions that were called.
     """
 
-    def __init__(self, path):
-        self.called = set()
+    def __init__(self, path: Path) -> None:
+        self.called: set[str] = set()
         self._machine = Uc(UC_ARCH_ARM64, UC_MODE_ARM)
-        self._imports = {}
+        self._imports: dict[int, str] = {}
         for start, size in ((_IMPORTS, _PAGE), (_STACK, _STACK_BYTES), (_HEAP, _HEAP_BYTES)):
             self._machine.mem_map(start, size)
         with path.open("rb") as file:
@@ -46,7 +52,7 @@ class EmulatedLibrary:
         control = self._machine.reg_read(registers.UC_ARM64_REG_CPACR_EL1)
         self._machine.reg_write(registers.UC_ARM64_REG_CPACR_EL1, control | 3 << 20)  # floating-point instructions
 
-    def _load(self, elf):
+    def _load(self, elf: ELFFile) -> None:
         """Write the segments into memory, and bind every symbol."""
         segments = list(elf.iter_segments("PT_LOAD"))
         end = max(segment["p_vaddr"] + segment["p_memsz"] for segment in segments)
@@ -68,7 +74,7 @@ class EmulatedLibrary:
             value += _CODE if kind == _RELATIVE else places.get(symbols[entry["r_info_sym"]].name, 0)
             self._machine.mem_write(_CODE + entry["r_offset"], struct.pack("<Q", value))
 
-    def _imported(self, machine, address, _size, _data):
+    def _imported(self, machine: Uc, address: int, _size: int, _data: object) -> None:
         """Run a function of the C library; the emulated processor returns from it next."""
         if address == _IMPORTS:
             return
@@ -83,7 +89,13 @@ class EmulatedLibrary:
             found = _of_the_c_library(name, *numbers, ctypes.c_int32(to & 0xFFFFFFFF).value)
             machine.reg_write(_DOUBLES[0], _as_integer(found))
 
-    def call(self, symbol, sizes, numbers, arrays):
+    def call(
+        self,
+        symbol: str,
+        sizes: tuple[int, ...],
+        numbers: tuple[float, ...],
+        arrays: tuple[tuple[np.ndarray, int], ...],
+    ) -> int:
         """Call a function; the arguments are those of `optdock.kernels.Kernel`."""
         self.called.add(symbol)
         machine, places, free = self._machine, [], _HEAP
@@ -115,7 +127,7 @@ class EmulatedLibrary:
         return ctypes.c_int64(machine.reg_read(_INTEGERS[0])).value
 
 
-def _of_the_c_library(name, one, other, integer):
+def _of_the_c_library(name: str, one: float, other: float, integer: int) -> float:
     """Return the result of a function of `math.h`."""
     function = getattr(_MATH, name)
     function.restype = ctypes.c_double
@@ -125,9 +137,9 @@ def _of_the_c_library(name, one, other, integer):
     return function(*map(ctypes.c_double, (one, other) if both else (one,)))
 
 
-def _as_integer(number):
+def _as_integer(number: float) -> int:
     return struct.unpack("<Q", struct.pack("<d", number))[0]
 
 
-def _as_double(integer):
+def _as_double(integer: int) -> float:
     return struct.unpack("<d", struct.pack("<Q", integer))[0]
