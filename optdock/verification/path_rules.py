@@ -35,8 +35,7 @@ _LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # the 
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Return every violation of a rule other than clearance, in the order of the rules below."""
-    has_polylines = any(isinstance(segment, PolylineSegment) for segment in path.segments)
-    rules = _RULES if has_polylines else _RULES_WITHOUT_POLYLINES
+    rules = _RULES if any(isinstance(one, PolylineSegment) for one in path.segments) else _WITHOUT_POLYLINES
     return tuple([violation for rule in rules for violation in rule(path, problem)])
 
 
@@ -290,22 +289,17 @@ def _beyond(
     kind, unit = LIMITS[name].quantity, LIMITS[name].unit
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         s, values = samples(segment)
-        if values.size == 0:
-            continue
-        k = int(np.abs(values).argmax())
+        k = int(np.abs(values).argmax()) if values.size else -1
         tolerance = SAMPLED_RTOL if isinstance(segment, PolylineSegment) else EXACT_RTOL
-        if not abs(values[k]) <= limit * (1.0 + tolerance):
+        if k >= 0 and not abs(values[k]) <= limit * (1.0 + tolerance):
             at, found = float(start + s[k]), float(values[k])
             message = f"{kind.replace('_', ' ')} {found:.4g} {unit} at s = {at:.3f} m exceeds {limit:.4g} {unit}"
             yield Violation(kind, message, at, abs(found) - limit)
 
 
 def _start_curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    wanted = problem.start_curvature
-    if wanted is None:
-        return
-    first = path.segments[0]
-    if isinstance(first, TurnSegment):  # at rest, without steered wheels
+    wanted, first = problem.start_curvature, path.segments[0]
+    if wanted is None or isinstance(first, TurnSegment):  # a turn begins at rest, without steered wheels
         return
     found = float(first.curvature_at(0.0)[0])
     allowed = TOLERANCE
@@ -357,5 +351,4 @@ _RULES = (
     *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
     *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight, _without_rule),
 )
-_OF_POLYLINES = (_slip, _drift, _creep, _winding)  # which no path without polylines violates
-_RULES_WITHOUT_POLYLINES = tuple(rule for rule in _RULES if rule not in _OF_POLYLINES)
+_WITHOUT_POLYLINES = tuple(rule for rule in _RULES if rule not in (_slip, _drift, _creep, _winding))

@@ -101,9 +101,7 @@ def pose_clearances(
 
 def lower_where_deep(clearances: FloatArray, poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> None:
     """Lower those clearances, Shape (n,), that are shallow overlaps for every piece but deep ones of the unions."""
-    if min(clearances.tolist(), default=0.0) >= 0.0:
-        return
-    for shallow in np.flatnonzero((clearances < 0.0) & (clearances > -DEPTH)).tolist():
+    for shallow in ((clearances < 0.0) & (clearances > -DEPTH)).nonzero()[0].tolist():
         clearances[shallow] = min(clearances[shallow], deepest(footprint, poses[shallow], obstacles))
 
 
