@@ -191,7 +191,7 @@ def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings
         longest: Longest span [m].
         settings: Limits of the numbers of spans and intervals.
     """
-    total, each = float(lengths.sum()), lengths.tolist()
+    total, each = float(np.add.reduce(lengths)), lengths.tolist()
     wanted = max(chosen.spans, min(settings.most_spans, math.ceil(total / longest)))
     spans = [max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total)) for length in each]
     cells = [math.ceil(length / (q * chosen.interval)) for length, q in zip(each, spans, strict=True)]

@@ -296,7 +296,7 @@ class IterationTimes:
 def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
     """Return the time on the benchmark machine [s] from its three coefficients."""
     obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
-    return share[0] + obstacles * (share[1] + share[2] * parts * float(nlp.lengths.sum()))
+    return share[0] + obstacles * (share[1] + share[2] * parts * float(np.add.reduce(nlp.lengths)))
 
 
 @dataclass
