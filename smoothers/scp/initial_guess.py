@@ -119,7 +119,7 @@ class InitialGuesses:
         """Initial bound on heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
         longest = settings.bold_length * nlp.radius
-        return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
+        return settings.trust_region * math.sqrt(min(1.0, longest / float(np.add.reduce(nlp.lengths))))
 
     @cached_property
     def _untracked(self) -> Variables:
@@ -256,13 +256,14 @@ def pure_pursuit(
     basis: Basis, positions: FloatArray, ends: Ends, bounds: VariableBounds, settings: GuessSettings
 ) -> Variables:
     """Return the variables from pure pursuit of `positions`, Shape (num_nodes, 2) [m], within the bounds."""
-    limit = float(bounds.upper[: basis.num_knots].max())
+    limit = float(np.maximum.reduce(bounds.upper[: basis.num_knots]))
     drives, lengths, pose = [], np.empty(basis.num_gears), ends.start
     for m, (last, cells) in enumerate(zip(basis.last_nodes.tolist(), basis.divisions[:, 1].tolist(), strict=True)):
         points, away = positions[last - cells : last + 1], np.zeros(cells + 1)
-        chords = np.hypot(*(points[1:] - points[:-1]).T)
+        steps = points[1:] - points[:-1]
+        chords = np.hypot(steps[:, 0], steps[:, 1])
         chords.cumsum(out=away[1:])
-        step = min(max(float(chords.mean()), 0.01), settings.pursuit_step / limit)
+        step = min(max(float(np.add.reduce(chords)) / cells, 0.01), settings.pursuit_step / limit)
         lookahead, sign = max(1.0 / limit, 4.0 * step), float(ends.signs[m])
         if m == basis.num_gears - 1:  # the line aligns the end of the pursuit with the target
             angle = float(ends.target[2]) + (0.0 if sign > 0.0 else math.pi)
@@ -354,7 +355,8 @@ def _steered(kappa: float, pose: tuple[float, float, float], target: tuple[float
 
 def largest_deviation(nlp: NonlinearProgram, rollout: Rollout) -> float:
     """Return the largest distance of a node from the input [m]."""
-    return float(np.hypot(*(rollout.poses[:, :2] - nlp.traced.positions).T).max())
+    away = rollout.poses[:, :2] - nlp.traced.positions
+    return float(np.maximum.reduce(np.hypot(away[:, 0], away[:, 1])))
 
 
 def track(
@@ -422,7 +424,7 @@ class LeastSquares:
     def of(cls, nlp: NonlinearProgram) -> LeastSquares:
         """Return the residuals of a program."""
         settings, basis = nlp.settings.tracking, nlp.basis
-        share = settings.weight * float(nlp.lengths.sum()) / basis.num_intervals
+        share = settings.weight * float(np.add.reduce(nlp.lengths)) / basis.num_intervals
         reference = np.empty((basis.num_nodes, 6))
         reference[:, :2], reference[:, 2:4] = nlp.cost.reference
         reference[:, 4:] = share, share * settings.along

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.arrays import frozen
+from optdock.geometry.arrays import frozen, readonly
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
 from smoothers.scp.basis import basis_for
@@ -42,7 +42,16 @@ if TYPE_CHECKING:
     from smoothers.scp.term_rows import TermBound
     from smoothers.scp.visibility_constraint import ViewBound
 
-__all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
+__all__ = [
+    "Ends",
+    "Formulation",
+    "NonlinearProgram",
+    "TracedInput",
+    "VariableBounds",
+    "even_positions",
+    "formulate",
+    "free_lengths",
+]
 
 _BRAKING_ROOM = 1.02  # times the braking distance: slack for the timing
 _EASED_MOST = 0.0025  # least weight of the curvature rate: splines stay smooth even where the robot is at rest
@@ -156,6 +165,17 @@ def formulate(
     return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
 
 
+@lru_cache(maxsize=4)
+def _even_shares(count: int) -> FloatArray:
+    return readonly(np.linspace(0.0, 1.0, count))
+
+
+def even_positions(path: Path, count: int) -> FloatArray:
+    """Return `count` evenly spaced positions of every segment, Shape (n, 2) [m]."""
+    shares = _even_shares(count)
+    return np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
+
+
 def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProgram:
     """Return the program with `cells` collision intervals in every span of each gear, and the same variables."""
     shape = tuple((spans, count) for (spans, _), count in zip(nlp.basis.shape, cells, strict=True))
@@ -198,7 +218,7 @@ def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings
         longest: Longest span [m].
         settings: Limits of the numbers of spans and intervals.
     """
-    total, each = float(lengths.sum()), lengths.tolist()
+    total, each = float(np.add.reduce(lengths)), lengths.tolist()
     wanted = max(chosen.spans, min(settings.most_spans, math.ceil(total / longest)))
     spans = [max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total)) for length in each]
     cells = [math.ceil(length / (q * chosen.interval)) for length, q in zip(each, spans, strict=True)]

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import clock_name
 from optdock.errors import SmootherCancelled, SmootherTimedOut
-from optdock.geometry.arrays import readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.model.path import ClothoidSegment, Path
 from optdock.planning.plan import PartialPlan
@@ -26,7 +24,7 @@ from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
-from smoothers.scp.nlp import formulate, with_intervals
+from smoothers.scp.nlp import even_positions, formulate, with_intervals
 from smoothers.scp.refusals import (
     refuse_approach,
     refuse_certificate,
@@ -45,7 +43,6 @@ if TYPE_CHECKING:
 
     from optdock.deadline import Deadline
     from optdock.errors import SmootherException
-    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
     from optdock.plugins.outcomes import SampledBound
@@ -299,7 +296,7 @@ class IterationTimes:
 def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
     """Return the time on the benchmark machine [s] from its three coefficients."""
     obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
-    return share[0] + obstacles * (share[1] + share[2] * parts * float(nlp.lengths.sum()))
+    return share[0] + obstacles * (share[1] + share[2] * parts * float(np.add.reduce(nlp.lengths)))
 
 
 @dataclass
@@ -408,8 +405,7 @@ class Solver:
         if refusal is not None:
             raise refusal.error()
         self._raise_if_late()
-        shares = _even_shares(resolution.input_samples)
-        positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
+        positions = even_positions(path, resolution.input_samples)
         scene = scene_around(call.whole, positions, start_clearance, self.settings.collision)
         self._raise_if_late()
         many = len(scene.obstacles) > resolution.many_obstacles
@@ -562,11 +558,6 @@ class Solver:
         chosen = self.settings.anytime
         lost = most_sag(last.rollout, nlp.scene.body.radius)
         return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
-
-
-@lru_cache(maxsize=4)
-def _even_shares(count: int) -> FloatArray:
-    return readonly(np.linspace(0.0, 1.0, count))
 
 
 def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
