@@ -9,11 +9,13 @@ import pytest
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.kernels import using_kernels
 from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
+from optdock.planners.manoeuvres import free_space
 from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import FreeSpace
 from optdock.verification import pose_clearances
@@ -110,3 +112,26 @@ def test_ways_for_a_disc_go_around_walls_and_never_too_far():
     ]
     shut = FreeSpace(dataclasses.replace(problem, obstacles=ObstacleSet.of(walls)), never)
     assert np.isinf(shut.wavefront(np.array([-1.0, 0.0])).lengths(np.array([[1.0, 0.0]]))[0])
+
+
+def test_pieces_of_a_check_are_smaller_for_many_corners_and_do_not_change_the_result(monkeypatch):
+    angles = np.linspace(-math.pi, math.pi, 40, endpoint=False)
+    round_one = Footprint(0.4 * np.column_stack((np.cos(angles), 0.7 * np.sin(angles))))
+    found, polls = [], []
+    for footprint, most in (
+        (round_one, 1),
+        (round_one, 4000),
+        (round_one, 10**9),
+        (Footprint.rectangle(0.4, 0.4, 0.56), 4000),
+    ):
+        monkeypatch.setattr(free_space, "_AT_ONCE", most)
+        looks = []
+        with using_kernels("native"):
+            found.append(
+                FreeSpace(scene(1, footprint), lambda looks=looks: looks.append(0)).is_free(poses_around(2), 0.0)
+            )
+        polls.append(len(looks))
+    assert 0.2 < found[0].mean() < 0.8
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(found[1], found[2])
+    assert polls[0] > polls[1] > polls[3]
