@@ -389,15 +389,21 @@ class Stages:
         offered = 0
         for arcs in found:
             self._poll()
-            expected = least_prices(arcs.lengths, self.problem)[0] + _SLOW_STOP * gear_changes(arcs.lengths)[0]
-            is_cheaper = expected < self._better_than()
-            if not is_cheaper or not self._is_another_way(arcs):
+            if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:
                 return
+
+    def _may_be_cheaper(self, arcs: Arcs) -> bool:
+        """Whether the expected price of a manoeuvre is below the price to beat."""
+        best = self._better_than()
+        if math.isinf(best):
+            return True
+        stops = gear_changes(arcs.lengths)
+        return bool(least_prices(arcs.lengths, self.problem)[0] + _SLOW_STOP * stops[0] < best)
 
     def _worthwhile(self) -> float:
         """Return the estimated price at or above which a manoeuvre cannot be cheaper than the best plan."""
