@@ -68,6 +68,7 @@ _CLOSE = 0.01  # [m]: half a cell; accuracy of the narrowest place of a disc
 _ROUNDS = 8  # refinements for the bottleneck: four are usual, more where a wall has the same thickness everywhere
 _PLACES = 5  # places on the widest route that are compared by exact distances
 _POLISHED = 2  # refinements of a place, by a factor of four each
+_TILES_AT_ONCE = 8  # tiles added to a graph of positions between two checks of the clock
 _POLISHED_AT = (33, 9, 5)  # places along each axis with one, two or three free axes
 _FINE = 0.08  # [m]: twice the side of a cell; the place within smaller cells is found by exact distances
 _SEEN_FROM = 30.0  # [m]: obstacles farther from start and goal do not enlarge the tiles
@@ -279,7 +280,10 @@ class _Search:
     def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
         """Yield the narrowest point of the widest route of a disc, from cells refined until the point is accurate."""
         graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
-        graph.add([self.graph.tiles[key] for key in self.graph.present()])
+        present = self.graph.present()
+        for k in range(0, len(present), _TILES_AT_ONCE):
+            self.deadline.look()
+            graph.add([self.graph.tiles[key] for key in present[k : k + _TILES_AT_ONCE]])
         with contextlib.suppress(OutOfTime):
             for _ in range(_ROUNDS_OF_DISC):
                 self.deadline.look()
@@ -445,7 +449,9 @@ class _Search:
         shares = [np.linspace(-extent, extent, count) if extent else np.zeros(1) for extent in reach.tolist()]
         around = np.stack(np.meshgrid(*shares), axis=-1).reshape(-1, 3)
         most = -math.inf if near.any() else 0.0
-        for _ in range(_POLISHED if near.any() else 0):
+        for k in range(_POLISHED if near.any() else 0):
+            if k > 0 and self.deadline.passed():
+                break
             poses = pose + around
             c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
             at = poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y

@@ -295,8 +295,19 @@ class Stages:
         if best <= _DEAR * self._cheapest_word:
             return False
         limits, goal = self.problem.robot.limits, self.problem.goal.as_array()[None, :2]
-        around = float(self._wave_from_start.lengths(goal)[0]) / max(limits.max_speed, limits.max_reverse_speed)
-        return best > _DEAR * (around + ends_cost(self.problem))
+        longest = (best / _DEAR - ends_cost(self.problem)) * max(limits.max_speed, limits.max_reverse_speed)
+        # The search needs the route of the wider disc; it is the longer one.
+        return bool(
+            self._wave_for_routes.lengths(goal)[0] < longest or self._wave_from_start.lengths(goal)[0] < longest
+        )
+
+    @functools.cached_property
+    def _wave_for_routes(self) -> Wavefront:
+        return self.space.wavefront(self.problem.start.as_array()[:2], self._route_radius)
+
+    @property
+    def _route_radius(self) -> float:
+        return 0.5 * self.space.footprint.width + self.problem.path_clearance.required
 
     @functools.cached_property
     def _wave_from_start(self) -> Wavefront:
@@ -304,9 +315,7 @@ class Stages:
 
     def _along_routes(self) -> Iterator[Guess]:
         """Yield sequences of words between poses along the shortest route of a disc around the obstacles."""
-        start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
-        radius += self.problem.path_clearance.required
-        wave = self.space.wavefront(start[:2], radius)
+        start, radius = self.problem.start.as_array(), self._route_radius
         for effort in self._efforts[:2]:
             if not self._is_worth_a_search():
                 return
@@ -315,7 +324,7 @@ class Stages:
             if entries.rows.size == 0:
                 return
             target = tree.poses[entries.rows[0], :2]
-            way = wave.way(target)
+            way = self._wave_for_routes.way(target)
             if way is None:
                 return
             route = elastic_band(np.stack((start[:2], *way[1:-1], target)), self.space, effort.radius + radius)
@@ -343,7 +352,9 @@ class Stages:
         goal, efforts = self.problem.goal.as_array()[:2], self._efforts
         if math.isfinite(self._better_than()):
             efforts = (self._efforts[0]._replace(nodes=_NODES_FOR_A_BETTER_ONE),)
+        self._poll()
         from_ends = self._wave_from_start, self.space.wavefront(goal)
+        self._poll()
         if math.isinf(self._wave_from_start.lengths(goal[None])[0]):
             yield None
             return
@@ -378,15 +389,21 @@ class Stages:
         offered = 0
         for arcs in found:
             self._poll()
-            expected = least_prices(arcs.lengths, self.problem)[0] + _SLOW_STOP * gear_changes(arcs.lengths)[0]
-            is_cheaper = expected < self._better_than()
-            if not is_cheaper or not self._is_another_way(arcs):
+            if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:
                 return
+
+    def _may_be_cheaper(self, arcs: Arcs) -> bool:
+        """Whether the expected price of a manoeuvre is below the price to beat."""
+        best = self._better_than()
+        if math.isinf(best):
+            return True
+        stops = gear_changes(arcs.lengths)
+        return bool(least_prices(arcs.lengths, self.problem)[0] + _SLOW_STOP * stops[0] < best)
 
     def _worthwhile(self) -> float:
         """Return the estimated price at or above which a manoeuvre cannot be cheaper than the best plan."""

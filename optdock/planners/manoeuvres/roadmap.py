@@ -117,6 +117,7 @@ class _LazySearch:
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
         """Yield complete paths of free words with their prices as they are found."""
+        self._space.poll()
         labels: dict[int, _Label] = {}
         opened: list[tuple[float, float, int]] = []
         for vertex, row in enumerate(self._out.tolist()):

@@ -119,6 +119,17 @@ def test_search_ends_when_no_later_guess_can_be_better():
     assert list(guesses(problem, better_than=lambda: 0.0)) == []
 
 
+def test_manoeuvre_with_stops_must_be_cheaper_by_the_time_that_plans_need_there():
+    problem = SCENES["parallel slot"]
+    first = first_guesses("parallel slot")[0].path
+    price, stops = least_price(first, problem), len(first.cusps)
+    assert stops > 0
+    for spare, is_offered in ((0.1, False), (1.0, True)):
+        most = price + stops * spare
+        found = [guess.path.digest for guess in guesses(problem, better_than=lambda most=most: most)]
+        assert (first.digest in found) is is_offered
+
+
 def test_closed_room_is_refused_and_the_message_claims_no_proof():
     ring = [box(-1, -1, 1, -0.8), box(-1, 0.8, 1, 1), box(-1, -1, -0.8, 1), box(0.8, -1, 1, 1)]
     problem = DockingProblem(Pose2(3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, ring, ClearanceRule(0.05, 0.0))
