@@ -46,16 +46,16 @@ _SAVED_PER_SIGNATURE = 3
 _REPORT = 15.0  # [s] between progress lines
 # Default shares of the time; a kind with expensive cases runs fewer of them.
 _SHARE = {
-    "paths": 0.21,
+    "paths": 0.19,
     "trajectories": 0.12,
     "timings": 0.1,
     "limits": 0.05,
-    "plans": 0.09,
+    "plans": 0.11,
     "prices": 0.03,
-    "replans": 0.06,
+    "replans": 0.1,
     "measured": 0.05,
     "decisions": 0.03,
-    "impossibilities": 0.08,
+    "impossibilities": 0.13,
     "kernels": 0.02,
     "timing_kernels": 0.01,
     "files": 0.05,
@@ -302,7 +302,10 @@ def _earlier(campaign: Campaign) -> tuple[Tally, dict[str, set[int]]]:
     source.parent.mkdir(parents=True, exist_ok=True)
     if not campaign.resume:
         source.unlink(missing_ok=True)
-    for line in source.read_text(encoding="utf-8").splitlines() if source.exists() else ():
+    text = source.read_text(encoding="utf-8") if source.exists() else ""
+    if text and not text.endswith("\n"):
+        source.write_text(text + "\n", encoding="utf-8")
+    for line in text.splitlines():
         with contextlib.suppress(ValueError):  # the last line of a process that was killed
             kind, number, outcome, checked, seconds = json.loads(line)
             tally.add(_Report(kind, number, Verdict(outcome, checked=checked), seconds, 0, ""), 0.0)

@@ -6,7 +6,8 @@
   again for that, so that no value of the first lane is used, except the convex pieces of outlines and obstacles. Both
   lanes must return equal verdicts, and bounds that differ by at most 1e-9. Planning by NumPy takes several times as
   long as the rest of a case and is repeated in a share of the cases only (`is_repeated`), on the counted clock: both
-  lanes must then have the same outcome, and plans that differ by at most 1e-9.
+  lanes must then have the same outcome, and plans that differ by at most 1e-9. Of replans, new motions and answers
+  of `still_holds` are compared, and of proofs that no motion exists the checks; searches and stops are not.
 """
 
 from __future__ import annotations

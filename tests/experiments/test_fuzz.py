@@ -2,6 +2,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,15 @@ import pytest
 import shapely
 from scipy.special import fresnel
 
+from experiments.fuzz import lanes
 from experiments.fuzz.__main__ import main
 from experiments.fuzz.campaign import judge_once
 from experiments.fuzz.case import Verdict, load_case, rng_of, save_case
 from experiments.fuzz.doors import path_of
 from experiments.fuzz.generators.carved import required_between
-from experiments.fuzz.kinds import KINDS
+from experiments.fuzz.kinds import KINDS, paths
 from experiments.fuzz.minimise import minimised
+from experiments.fuzz.oracle.cells import Cells, leak
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import required_at, sweep
@@ -140,7 +143,7 @@ def test_dip_between_samples_is_found():
 
 def test_the_oracle_shares_no_code_with_the_library():
     names = ", ".join(
-        f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing", "views")
+        f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing", "views", "cells")
     )
     code = f"import {names}, sys; sys.exit(any(name.split('.')[0] == 'optdock' for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
@@ -357,3 +360,63 @@ def test_requirement_within_the_steps_of_a_witness(rule):
         asked = required_at(case, within, 0.005, 4.0 * math.hypot(0.4, 0.3))
         assert (asked <= enough[step]).all()
         assert enough[step] < asked.max() + 0.02
+
+
+# lanes, and campaigns that are continued
+
+
+@pytest.fixture
+def both_lanes():
+    lanes.set_lanes("both")
+    yield
+    lanes.set_lanes("own")
+
+
+def test_lanes_are_compared_and_a_difference_is_found(both_lanes, monkeypatch):
+    case = scene([clothoid([0.0, 1.0], [0.0, 0.0])], obstacles=[[[0.0, 0.5], [0.5, 0.5], [0.5, 0.6]]], margins=[1e-3])
+    assert paths.judge(case) == Verdict("certified")
+    assert paths.judge(case).checked == {"certificates": 2}
+    honest = lanes.certify_path
+
+    def mistaken(path, problem):
+        found = honest(path, problem)
+        return replace(found, min_clearance=found.min_clearance + 1e-8) if problem.clearance.required else found
+
+    monkeypatch.setattr(lanes, "certify_path", mistaken)
+    found = paths.judge(case)
+    assert found.signature == "kernel differs: certify_path min_clearance"
+    assert found.evidence["clearance"][0] == pytest.approx(0.2 - 1e-3)
+
+
+def test_a_further_requirement_without_room_is_not_certified(monkeypatch):
+    case = scene([clothoid([0.0, 1.0], [0.0, 0.0])], obstacles=[[[0.8, 0.5], [0.9, 0.5], [0.9, 0.6]]], margins=[-3e-6])
+    assert paths.judge(case).checked == {"certificates": 1}
+    monkeypatch.setattr(paths, "_FORGIVEN", 1e-9)  # an oracle with a smaller tolerance
+    assert paths.judge({**case, "margins": [-5e-7]}).outcome == "false certificate"
+
+
+def test_a_campaign_is_continued(tmp_path):
+    rows = [["trajectories", 0, "certified", {}, 0.1], ["trajectories", 1, "certified", {}, 0.1]]
+    text = "".join(json.dumps(row) + "\n" for row in rows)
+    file = tmp_path / "0.jsonl"
+    file.write_text(text + '["trajectories", 2, "cer', encoding="utf-8")  # a process that was killed
+    options = ["--kinds", "trajectories", "--seed", "0", "--out", str(tmp_path), "--count", "4", "--resume"]
+    command = [sys.executable, "-m", "experiments.fuzz", *options]
+    told = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=100).stdout
+    assert "trajectories: 4 cases" in told
+    after = file.read_text(encoding="utf-8")
+    assert after.startswith(text)
+    assert [json.loads(line)[1] for line in after.splitlines() if line.endswith("]")] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(("rim", "is_closed"), [(0.5, True), (0.1, False)])
+def test_leaks_of_cells_are_found(rim, is_closed):
+    """A room of 1.5 m by 1.3 m: cells around its middle, whose rim is in the walls or in free space."""
+    case = {"footprint": {"polygon": SQUARE}, "clearance": [0.0, 0.0, 0.0], "start": [3.0, 0.0, 0.0]}
+    walls = [shapely.box(-1, -1, 1, -0.65), shapely.box(-1, 0.65, 1, 1), shapely.box(-1, -1, -0.75, 1),
+             shapely.box(0.75, -1, 1, 1)]  # fmt: skip
+    case |= {"obstacles": [shapely.get_coordinates(wall)[:-1].tolist() for wall in walls], "dock": {"pose": [0.0] * 3}}
+    inside = np.ones((1, 4, 4), dtype=bool)
+    cells = Cells((-rim, -rim), rim / 2.0, 1, (0.0, 0.0), np.array([[0, 0, 0]]), (inside,))
+    found = leak(case, cells, ([0.0] * 3, [3.0, 0.0, 0.0]), np.random.default_rng(0))
+    assert bool(found) != is_closed

@@ -71,6 +71,8 @@ def _drawn(rng: Rng) -> Case | None:
         "kind": "impossibilities",
         "footprint": {"polygon": [list(map(float, point)) for point in outline]},
         "obstacles": polygons,
+        "fenced": _fenced(rng.spawn(1)[0], polygons, poses[-1], outline, float(rule[0] or 0.0)),
+        "seed": int(rng.integers(2**31)),
         "start": poses[0].tolist(),
         "goal": poses[-1].tolist(),
         "clearance": rule,
@@ -173,6 +175,34 @@ def _obstacles(rng: Rng, room: shapely.Geometry) -> list[list[list[float]]]:
         shapes = [blob.difference(room) for blob in blobs]
     parts = [part for shape in shapes for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     return [piece.tolist() for part in parts if part.area > 1e-8 for piece in convex_cover(part)]
+
+
+def _fenced(
+    rng: Rng, polygons: list[list[list[float]]], goal: Floats, outline: list[list[float]], required: float
+) -> Case:
+    """Return a start and obstacles: a ring around the goal with a gap too narrow for most robots, the start outside."""
+    reach = float(np.hypot(*np.array(outline).T).max())
+    radius = 1.2 * reach + required + rng.uniform(0.01, 1.0)
+    heading, away = rng.uniform(-math.pi, math.pi), 1.1 * radius + 1.2 * reach + required + rng.uniform(0.0, 1.0)
+    start = [*(goal[:2] + away * np.array([math.cos(heading), math.sin(heading)])).tolist(), rng.uniform(-4.0, 4.0)]
+    near = (
+        shapely.distance([shapely.Polygon(one) for one in polygons], shapely.Point(start[:2])) < 1.1 * reach + required
+    )
+    kept = [one for one, is_near in zip(polygons, near, strict=True) if not is_near]
+    return {"start": start, "obstacles": kept + _ring(rng, goal, radius, outline, required)}
+
+
+def _ring(
+    rng: Rng, goal: Floats, radius: float, outline: list[list[float]], required: float
+) -> list[list[list[float]]]:
+    width = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(shapely.Polygon(outline))))
+    gap = width * rng.choice([0.0, rng.uniform(0.0, 0.9), rng.uniform(0.9, 1.0)]) + 2.0 * required
+    half = math.asin(min(0.5 * gap / radius, 0.9))
+    angles = rng.uniform(-math.pi, math.pi) + np.linspace(half, 2.0 * math.pi - half, 25)
+    ways = np.column_stack((np.cos(angles), np.sin(angles)))
+    inner, outer = goal[:2] + radius * ways, goal[:2] + 1.1 * radius * ways
+    found: list[list[list[float]]] = np.stack((inner[:-1], outer[:-1], outer[1:], inner[1:]), axis=1).tolist()
+    return found
 
 
 def _runs(x: Floats, y: Floats, side: float, occupied: npt.NDArray[np.bool_]) -> list[list[list[float]]]:

@@ -18,6 +18,7 @@ from experiments.fuzz.doors import law_of, law_spec, path_of, path_spec, problem
 from experiments.fuzz.generators.changes import running_plan
 from experiments.fuzz.generators.problems import beside
 from experiments.fuzz.kinds import paths, trajectories
+from experiments.fuzz.lanes import compares_lanes, motion_differs
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import gap
 from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
@@ -27,6 +28,7 @@ from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
 from optdock.executor.planning import DrivenMotion, Job, planned
 from optdock.geometry.pose import Pose2
+from optdock.kernels import using_kernels
 from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.planning.plan import DockPlan
@@ -109,6 +111,7 @@ def _judged(case: Case, scene: Case, plan: DockPlan) -> Verdict:
         found = still_holds(plan, known, time_now)
         wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
         word = "holds" if says_yes(found) else "holds no more"
+        wrong = wrong or _rest_differs(plan, world, case, time_now, found)
         proven += ["holds"] if found else []
     if wrong is None and case["question"] != "holds":
         word, wrong = _about_the_answer(case, scene, world, plan, later, time_now)
@@ -152,6 +155,19 @@ def _difference(scene: Case, world: Case) -> Case:
 
 
 # still_holds
+
+
+def _rest_differs(plan: DockPlan, world: Case, case: Case, now: float, found: StillHolds) -> Verdict | None:
+    """Return the difference to the answer of the twin lane, if lanes are compared."""
+    if not compares_lanes():
+        return None
+    with using_kernels("twin"):
+        later = problem_of(world)
+        known = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
+        other = still_holds(plan, known, now)
+    if bool(other) == bool(found):
+        return None
+    return Verdict("kernel differs", f"still_holds: {found.reason or 'holds'} in C, {other.reason or 'holds'} by NumPy")
 
 
 def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds, relief: float) -> Verdict | None:
@@ -397,6 +413,8 @@ def _new(this: _Now, found: _Answer) -> Verdict | None:
     signed = start["start_speed"] * float(motion_of(timed["path"]).gear[0] or 1.0) if is_moving else 0.0
     scene = {**this.world, **start, "start_speed": signed, "start_curvature": None, "path": timed["path"]}
     wrong = _way(this, "way until NEW takes over", _until(this, found.starts_at))
+    if wrong is None and compares_lanes():
+        wrong = motion_differs(plan.trajectory, plan.motion.problem)
     return wrong or paths.refuted(scene, plan.certificate) or trajectories.refuted(timed, plan.trajectory_certificate)
 
 
