@@ -29,6 +29,8 @@ FLAGS = (
 TESTS = (
     "tests/optdock/test_kernels.py",
     "tests/smoothers/test_clearance_along.py",
+    "tests/smoothers/test_initial_guess_kernel.py",
+    "tests/smoothers/test_loop_kernel.py",
     "tests/smoothers/test_rollout_kernel.py",
     "tests/optdock/test_minimizer.py::test_the_guess_does_not_change_the_solution",
     "tests/optdock/controllers/test_delay.py",
