@@ -332,8 +332,10 @@ static int64_t set_breaks(Counts n, const Bounds *of, const Case *set, const Tun
     if (first.a < 0.0) {
         double nearest = first.s - 0.4 * first.v * first.v / first.a;
         int64_t next = number_below(breaks, used, first.s, 1);
-        if (next < used && nearest < breaks[next])
-            insert(breaks, used++, number_below(breaks, used, nearest, 1), nearest);
+        if (next < used && nearest < breaks[next]) {
+            insert(breaks, used, number_below(breaks, used, nearest, 1), nearest);
+            used++;
+        }
     }
     return used;
 }
