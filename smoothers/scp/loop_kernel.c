@@ -7,7 +7,6 @@
 
 #include <math.h>
 #include <stdint.h>
-#include <string.h>
 
 int64_t optdock_project_and_roll_out(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals,
                                      int64_t most_steps, int64_t alternations, double tolerance, double renew,
@@ -91,6 +90,12 @@ static Program program_of(const int64_t *counts, const double *numbers)
 static double least(double a, double b) { return a < b || a != a ? a : b; }
 
 static double most(double a, double b) { return a > b || a != a ? a : b; }
+
+static void copy(double *to, const double *from, int64_t count)
+{
+    for (int64_t i = 0; i < count; i++)
+        to[i] = from[i];
+}
 
 static double sum_of(const double *values, int64_t count)
 {
@@ -186,13 +191,13 @@ int64_t optdock_evaluate(int64_t has_before, const int64_t *counts, const double
     int64_t size = p.size, nodes = p.n.nodes, length = 4 * nodes + 6 * p.n.intervals, bounds = 4 * size + p.n.gears + 6;
     double *z = out, *rollout = z + size, *error = rollout + length, *zones = error + 3, *results = zones + p.n.zones;
     double *found = work + size + bounds, reach = p.is.reach, moved = 0.0;
-    memcpy(work, given, (size_t)size * sizeof(double));
-    memcpy(work + size, p.ends, (size_t)bounds * sizeof(double));
+    copy(work, given, size);
+    copy(work + size, p.ends, bounds);
     optdock_project_and_roll_out(p.n.gears, p.n.knots, nodes, p.n.intervals, p.n.most_steps, p.n.alternations,
                                  p.is.tolerance, p.is.renew, p.is.contraction, p.is.goal_reach, p.is.rate,
                                  p.is.inner_rate, basis, p.divisions, work, found);
-    memcpy(rollout, found, (size_t)length * sizeof(double));
-    memcpy(z, found + length, (size_t)size * sizeof(double));
+    copy(rollout, found, length);
+    copy(z, found + length, size);
     if (has_before) {
         moved = moved_from(&p, rollout, z, given + size, given + size + 3 * nodes);
         reach = least(p.is.most_reach, p.is.reach_per_motion * moved + p.is.least_reach);
@@ -473,7 +478,8 @@ static void add_deep(const Program *p, const Iterate *at, const Sensitivity *by,
                      const int64_t *is_deep, int64_t *is_met, double *work, Rows *rows)
 {
     for (int64_t part = 0; part < p->n.parts; part++) {
-        memset(is_met, 0, (size_t)(p->n.nodes * p->n.obstacles) * sizeof(int64_t));
+        for (int64_t i = 0; i < p->n.nodes * p->n.obstacles; i++)
+            is_met[i] = 0;
         for (int64_t i = 0; i < at->p; i++) {
             int64_t *met = is_met + p->left[at->interval[i]] * p->n.obstacles + at->obstacle[i];
             if (is_deep[i] && at->part[i] == part)
@@ -518,7 +524,7 @@ static int64_t clearance_rows(const Program *p, const Iterate *at, const Sensiti
                                                p->n.lowest_vertices, p->is.support_slope, p->is.same_witness,
                                                p->is.lowest_slope, planes, at->interval, p->left, at->table,
                                                at->rollout, at->slope, by->x, by->y, by->yaw, rows.node, rows.gradient);
-    memcpy(rows.gap, rows.gradient + 3 * chosen * size, (size_t)rows.count * sizeof(double));
+    copy(rows.gap, rows.gradient + 3 * chosen * size, rows.count);
     add_deep(p, at, by, scene + p->n.parts * (5 * p->n.v + 4), is_deep, is_met, of_discs, &rows);
     for (int64_t i = 0; i < rows.count; i++)
         if (can_change(&rows, i, size))
@@ -527,7 +533,7 @@ static int64_t clearance_rows(const Program *p, const Iterate *at, const Sensiti
     for (int64_t i = 0; i < count; i++) {
         node[i] = rows.node[kept[i]];
         out[i] = rows.gap[kept[i]] - buffer_at(p, at->rollout + 3 * node[i], buffer);
-        memcpy(out + p->n.most + i * size, rows.gradient + kept[i] * size, (size_t)size * sizeof(double));
+        copy(out + p->n.most + i * size, rows.gradient + kept[i] * size, size);
     }
     return count;
 }
@@ -563,11 +569,11 @@ int64_t optdock_linearize(int64_t pairs, double buffer, const int64_t *counts, c
     optdock_sensitivity(p.n.gears, p.n.knots, nodes, p.n.intervals, basis, p.divisions, z,
                         rollout + 4 * nodes + 2 * p.n.intervals, work, next);
     quadratic_model(&p, &at, &by, out, next);
-    memcpy(jacobian, by.x + last, (size_t)size * sizeof(double));
-    memcpy(jacobian + size, by.y + last, (size_t)size * sizeof(double));
-    memcpy(jacobian + 2 * size, by.yaw + last, (size_t)size * sizeof(double));
+    copy(jacobian, by.x + last, size);
+    copy(jacobian + size, by.y + last, size);
+    copy(jacobian + 2 * size, by.yaw + last, size);
     for (int64_t i = 0; i < p.n.trusted; i++)
-        memcpy(headings + i * size, by.yaw + p.trusted[i] * size, (size_t)size * sizeof(double));
+        copy(headings + i * size, by.yaw + p.trusted[i] * size, size);
     return clearance_rows(&p, &at, &by, buffer, scene, node, headings + p.n.trusted * size, ints, next);
 }
 
@@ -591,12 +597,11 @@ typedef struct {
     double *h, *g, *a, *lower, *upper;
 } Quadratic;
 
-/* Append a row with the given elements for the path and bounds; return its elements. */
-static double *append_row(Quadratic *q, const double *elements, int64_t size, double lower, double upper)
+/* Append a row with bounds, and return its elements, of which the first `count` are given and the others 0. */
+static double *append_row(Quadratic *q, const double *elements, int64_t count, double lower, double upper)
 {
     double *row = q->a + q->m * q->n;
-    if (elements != NULL)
-        memcpy(row, elements, (size_t)size * sizeof(double));
+    copy(row, elements, count);
     q->lower[q->n + q->m] = lower;
     q->upper[q->n + q->m++] = upper;
     return row;
@@ -634,7 +639,7 @@ static void append_rates(const Program *p, const Subproblem *at, double sign, do
         double spans = (double)p->divisions[2 * m], allowed = p->is.inner_rate * at->z[p->n.knots + m];
         for (int64_t end = knot + p->divisions[2 * m]; knot < end; knot++) {
             double slope = spans * (at->z[knot + 1] - at->z[knot]);
-            double *row = append_row(q, NULL, 0, -unbounded, sign > 0.0 ? allowed - slope : allowed + slope);
+            double *row = append_row(q, at->headings, 0, -unbounded, sign > 0.0 ? allowed - slope : allowed + slope);
             row[knot] = -sign * spans;
             row[knot + 1] = sign * spans;
             row[p->n.knots + m] = -p->is.inner_rate;
@@ -690,7 +695,8 @@ int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds
     double *gain = doubles + (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n, *h = gain + 1;
     Quadratic q = {n, 0, h, h + n * n, h + n * n + n, h + n * n + n + m * n, h + n * n + n + m * n + n + m};
     Subproblem at = {rows, z, gradient, hessian, motion, jacobian, error, headings, row, gap, node};
-    memset(h, 0, (size_t)(n * n + n + m * n) * sizeof(double));
+    for (int64_t i = 0; i < n * n + n + m * n; i++)
+        h[i] = 0.0;
     fill(&p, &at, (Bounds){trust, stretch, proximal, of_clearance, of_goal, unbounded}, &q);
     for (int64_t i = 0; i < n + m; i++)
         if (!(q.lower[i] <= q.upper[i]))
