@@ -8,7 +8,8 @@ SCALE := 1
 ARGS :=
 AUDITED := tests/optdock/verification/test_conservative_advancement.py tests/optdock/verification/test_certify.py \
 	tests/optdock/verification/test_trajectory_rules.py tests/optdock/timing/test_near_optimal.py \
-	tests/optdock/planners/manoeuvres tests/smoothers/test_casadi_smoother.py tests/smoothers/test_tracking.py tests/optdock/test_pipeline.py \
+	tests/optdock/planners/manoeuvres tests/smoothers/test_casadi_smoother.py tests/smoothers/test_tracking.py \
+	tests/optdock/test_deformation.py tests/optdock/test_pipeline.py \
 	tests/optdock/verification/test_search_for_proofs.py tests/optdock/controllers/test_mpc_program.py
 BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin

@@ -32,6 +32,7 @@ TESTS = (
     "tests/smoothers/test_initial_guess_kernel.py",
     "tests/smoothers/test_loop_kernel.py",
     "tests/smoothers/test_rollout_kernel.py",
+    "tests/optdock/test_deformation.py",
     "tests/optdock/test_minimizer.py::test_the_guess_does_not_change_the_solution",
     "tests/optdock/controllers/test_delay.py",
     "tests/optdock/controllers/test_look_ahead.py",

@@ -3,6 +3,7 @@
 import functools
 import logging
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -466,7 +467,7 @@ def c_code(source):
 
 @pytest.mark.parametrize("source", kernel_sources(ROOT)[1:], ids=lambda source: source.stem)
 def test_every_kernel_stands_alone_beside_its_twin(source):
-    """Search and proof share no native code: no file includes or calls another, and all but the kernels is static."""
+    """No file includes another, and all but the kernels is static."""
     code = c_code(source)
     assert (ROOT / source.with_name(source.name.replace("_kernel.c", ".py"))).is_file()
     assert {line.strip() for line in code.splitlines() if line.startswith("#include")} == {
@@ -476,3 +477,16 @@ def test_every_kernel_stands_alone_beside_its_twin(source):
     assert "malloc" not in code
     starts = [line for line in code.splitlines() if line[:1].isalpha() and "(" in line]
     assert all(line.startswith(("static ", "int64_t optdock_")) for line in starts)
+
+
+def test_only_the_smoother_calls_other_kernels():
+    """Search and proof share no native code, and the functions that are called are declared as they are defined."""
+    declared, defined = {}, {}
+    for source in kernel_sources(ROOT)[1:]:
+        for head, end in re.findall(r"^(int64_t optdock_[^;{]*?)\s*([;{])", c_code(source), re.MULTILINE):
+            (declared if end == ";" else defined).setdefault(source.as_posix(), set()).add(" ".join(head.split()))
+    assert set(declared) == {"smoothers/scp/loop_kernel.c"}
+    called = set().union(*declared.values())
+    homes = {source for source, heads in defined.items() if heads & called}
+    assert called <= set().union(*defined.values())
+    assert all(home.startswith("smoothers/scp/") for home in homes - {"optdock/quadratic_program_kernel.c"})
