@@ -230,11 +230,17 @@ class Kernel:
         return int(function(*sizes, *numbers, *addresses))
 
 
-def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+def twin_of(
+    native: Callable[_P, _R], copied: Callable[..., tuple[object, ...]] | None = None
+) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Return a decorator for the NumPy twin of `native`; the decorated function runs what the lane requires.
 
     `native` calls a `Kernel` and has the arguments and results of the twin. In an audit the decorated function raises
     `KernelMismatch` if they differ.
+
+    Args:
+        native: The function in C.
+        copied: Returns the arguments for the twin, where `native` changes its own; None if it changes none.
     """
 
     def decorate(twin: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -247,9 +253,11 @@ def twin_of(native: Callable[_P, _R]) -> Callable[[Callable[_P, _R]], Callable[_
                 return twin(*args, **kwargs)
             if lane == "native" and name in _OfProcess.tested:
                 return native(*args, **kwargs)
-            with uncounted():  # the twin is not run in later calls
-                found = twin(*args, **kwargs)
+            given = args if copied is None else copied(*args, **kwargs)
             other = native(*args, **kwargs)
+            # The twin is not run in later calls. It comes second, because it may fill caches that the kernel uses too.
+            with uncounted():
+                found = twin(*given, **(kwargs if copied is None else {}))  # type: ignore[arg-type]
             _judge(name, lane, _difference(found, other))
             return found if lane == "audit" or name in _OfProcess.replaced else other  # as in later calls
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import frozen, readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
@@ -457,7 +457,8 @@ class LeastSquares:
 @lru_cache(maxsize=16)
 def _without_clearance(size: int) -> tuple[FloatArray, ClearanceRows]:
     """Return the squared motion and the empty rows of a subproblem of tracking, for the number of its variables."""
-    return readonly(np.eye(size)), ClearanceRows(np.zeros((0, size)), np.zeros(0), np.zeros(0, dtype=np.int64))
+    no_rows = ClearanceRows(np.zeros((0, size)), np.zeros(0), np.zeros(0, dtype=np.int64))
+    return frozen((readonly(np.eye(size)), no_rows))
 
 
 _MERIT = Kernel("optdock_tracking_merit", sizes=3, numbers=2)

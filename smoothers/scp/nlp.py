@@ -236,7 +236,7 @@ class _NodesOfGears(NamedTuple):
 
 
 @lru_cache(maxsize=16)  # as many as bases
-def _nodes_of(basis: Basis) -> _NodesOfGears:
+def _nodes_of_gears(basis: Basis) -> _NodesOfGears:
     shares = tuple(basis.fraction[basis.node_gear == m] for m in range(basis.num_gears))
     inner = basis.left[basis.fraction[basis.left] > 0.0]
     return frozen(_NodesOfGears(shares, basis.left + 1, inner, basis.last_nodes - np.arange(basis.num_gears) - 1))
@@ -244,7 +244,7 @@ def _nodes_of(basis: Basis) -> _NodesOfGears:
 
 def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> TracedInput:
     """Return the input at the nodes of `basis`; its headings are directions of chords, not yaws."""
-    indices, left, yaws = _nodes_of(basis), basis.left, np.empty(basis.num_nodes + 1)
+    indices, left, yaws = _nodes_of_gears(basis), basis.left, np.empty(basis.num_nodes + 1)
     poses = [
         segment.poses_at(share * min(length, segment.length))
         for segment, share, length in zip(path.segments, indices.shares, lengths.tolist(), strict=True)
@@ -263,7 +263,7 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
     """Return positions and normals at the nodes; the heading of a node is the mean of the neighbouring headings."""
-    indices, heading, normals = _nodes_of(basis), np.empty(basis.num_nodes), np.empty((basis.num_nodes, 2))
+    indices, heading, normals = _nodes_of_gears(basis), np.empty(basis.num_nodes), np.empty((basis.num_nodes, 2))
     heading[basis.left], heading[basis.last_nodes] = traced.headings, traced.headings[indices.last]
     inner = indices.inner
     heading[inner] = 0.5 * (heading[inner] + heading[inner - 1])

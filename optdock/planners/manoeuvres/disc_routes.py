@@ -85,6 +85,7 @@ _SPREAD_KERNEL = Kernel("optdock_spread", sizes=3, numbers=2)
 
 
 def _spread_native(field: DistanceField, radius: float, wave: _Wave, cells: IntArray) -> _Wave:
+    """Return the result of `_spread`, whose steps are those of `wave`, changed in place."""
     size, n = field.side**2, wave.front.size
     queue = np.empty(size, dtype=np.int64)
     queue[:n] = wave.front
@@ -101,7 +102,9 @@ def _spread_native(field: DistanceField, radius: float, wave: _Wave, cells: IntA
         field.compute(missing[: progress[3]])
 
 
-@twin_of(_spread_native)
+@twin_of(
+    _spread_native, lambda field, radius, wave, cells: (field, radius, wave._replace(steps=wave.steps.copy()), cells)
+)
 def _spread(field: DistanceField, radius: float, wave: _Wave, cells: IntArray) -> _Wave:
     """Return the wave at the first step after which all cells, Shape (n,), are reached, or when it has ended."""
     steps, count = wave.steps.copy(), wave.taken
