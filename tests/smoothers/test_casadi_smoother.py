@@ -16,6 +16,7 @@ from optdock.errors import FailedToSmoothPath, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.kernels import using_kernels
 from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
@@ -428,7 +429,8 @@ def test_warm_up_pushes_out_of_an_obstacle_too(monkeypatch):
     pushed = []
     pushing = "smoothers.scp.collision.linearization.covering_disc_rows"
     monkeypatch.setattr(pushing, lambda *a: pushed.append(1) or covering_disc_rows(*a))
-    CasadiSmoother().warm_up()
+    with using_kernels("twin"):
+        CasadiSmoother().warm_up()
     assert pushed
 
 
