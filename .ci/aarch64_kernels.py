@@ -32,7 +32,7 @@ from optdock.planning.pipeline import plan_dock  # noqa: E402
 COMPILER = f"{sys.executable} -m ziglang cc -target aarch64-linux-gnu.2.17"
 # Comparisons of both lanes; those that compile a library, start a program or take long are left out.
 CHOSEN = (
-    "(last_bit or of_both_lanes or mpc_program or motion_table or look_ahead or first_ramp) "
+    "(last_bit or lanes or mpc_program or motion_table or look_ahead or first_ramp or minimizer or kernels_return) "
     "and not source and not compiler and not version and not library"
 )
 FAMILIES = ("open_s", "reverse_cusp", "angled_hexagon", "gap_blocked")
@@ -41,9 +41,12 @@ BUDGET = 0.3  # [s] of counted work, the same with every kernel
 
 def compiled(folder: str, *flags: str) -> EmulatedLibrary:
     """Return the library compiled for aarch64."""
+    before = os.environ.get("CC", "cc")
     os.environ["CC"] = COMPILER
-    name = f"_aarch64{len(flags)}.shared"
-    return EmulatedLibrary(build(ROOT, Path(folder, name), flags))
+    try:
+        return EmulatedLibrary(build(ROOT, Path(folder, f"_aarch64{len(flags)}.shared"), flags))
+    finally:
+        os.environ["CC"] = before
 
 
 def self_test(library: EmulatedLibrary) -> int:

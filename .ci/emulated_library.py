@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import struct
+import threading
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -42,6 +43,7 @@ class EmulatedLibrary:
 
     def __init__(self, path: Path) -> None:
         self.called: set[str] = set()
+        self._lock = threading.Lock()  # there is one processor
         self._machine = Uc(UC_ARCH_ARM64, UC_MODE_ARM)
         self._imports: dict[int, str] = {}
         for start, size in ((_IMPORTS, _PAGE), (_STACK, _STACK_BYTES), (_HEAP, _HEAP_BYTES)):
@@ -97,6 +99,10 @@ class EmulatedLibrary:
         arrays: tuple[tuple[np.ndarray, int], ...],
     ) -> int:
         """Call a function; the arguments are those of `optdock.kernels.Kernel`."""
+        with self._lock:
+            return self._call(symbol, sizes, numbers, arrays)
+
+    def _call(self, symbol: str, sizes: tuple, numbers: tuple, arrays: tuple) -> int:
         self.called.add(symbol)
         machine, places, free = self._machine, [], _HEAP
         for array, count in arrays:
