@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from dataclasses import dataclass, fields
 from enum import Enum
 from types import MappingProxyType
@@ -278,10 +279,15 @@ class MotionLimits:
         return (farthest + begins) / self.max_steering_rate
 
 
+_BOUNDS = [spec.name for spec in fields(MotionLimits) if spec.name not in DIMENSIONS]
+_bounds_of = operator.attrgetter(*_BOUNDS)
+
+
 def finite_limits(limits: MotionLimits) -> dict[str, float]:
     """Return all finite bounds by name, including bounds that are not in `LIMITS`."""
-    values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
-    return {name: value for name, value in values.items() if -math.inf < value < math.inf}
+    return {
+        name: bound for name, bound in zip(_BOUNDS, _bounds_of(limits), strict=True) if -math.inf < bound < math.inf
+    }
 
 
 def _rule(name: str, value: float) -> tuple[str, bool]:
