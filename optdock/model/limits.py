@@ -262,6 +262,8 @@ class MotionLimits:
 
     def start_wait(self, path: Path) -> float:
         """Return the longest time [s] to steer the wheels from an unknown angle to the angle at the start of `path`."""
+        if math.isinf(self.max_steering_rate):
+            return 0.0
         first = path.segments[0]
         return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
 
