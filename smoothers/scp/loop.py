@@ -18,7 +18,7 @@ import numpy as np
 from optdock.deadline import never_late
 from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
-from smoothers.scp.collision.clearance_along import Room, clearance_along, evaluates_all_edges
+from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.collision_scene import RULE_NUMBERS
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
 from smoothers.scp.cost import Quadratic
@@ -148,17 +148,12 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
 
     The change is measured from the iterate `before` and is 0 if that is None.
     """
-    return (_evaluated if _is_compiled(nlp) else _evaluated_by_numpy)(nlp, variables, before)
-
-
-def _is_compiled(nlp: NonlinearProgram) -> bool:
-    """Whether the kernel covers all constraints of a program."""
-    return nlp.view is None and nlp.terms is None and evaluates_all_edges(nlp.scene)
+    return (_evaluated if nlp.is_compiled else _evaluated_by_numpy)(nlp, variables, before)
 
 
 def _evaluate_natively(nlp: NonlinearProgram, variables: Variables, before: Iterate | None) -> tuple[Iterate, float]:
     (counts, numbers), basis, scene, zones = nlp.packed, nlp.basis, nlp.scene, nlp.settings.step.zones
-    nodes, size, room = basis.num_nodes, basis.size, Room.of(scene, basis)
+    nodes, size, room = basis.num_nodes, basis.size, nlp.room
     along = 4 * nodes + 6 * basis.num_intervals
     given = variables if before is None else (*variables, before.rollout.packed[: 3 * nodes], before.variables.lengths)
     start = size + along
@@ -237,7 +232,7 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
 
 def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
     """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
-    return (_linearized if _is_compiled(nlp) else _linearized_by_numpy)(nlp, current, buffer)
+    return (_linearized if nlp.is_compiled else _linearized_by_numpy)(nlp, current, buffer)
 
 
 def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
