@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.collision_scene import RULE_NUMBERS
@@ -39,12 +37,11 @@ from smoothers.scp.visibility_constraint import linearized_view, view_along
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray, IntArray
-    from smoothers.scp.basis import Basis
+    from optdock.geometry.arrays import FloatArray
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.settings import LoopSettings, StepSettings
+    from smoothers.scp.settings import LoopSettings
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
@@ -247,7 +244,7 @@ def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) 
     room, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
     start = size * (2 * size + 1)
     headings = start + 3 * size
-    gap = headings + _trusted(basis, step).size * size
+    gap = headings + trusted_nodes(basis, step).size * size
     node, out = np.empty(most, dtype=np.int64), np.empty(gap + most * (size + 1))
     work, indices = pool_of_this_thread().work(
         size * (3 * nodes + 4) + room * (size + 2) + 3 * discs + 9 * p + 4 * (2 * v + k),
@@ -304,15 +301,10 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
     wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
     rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
-    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[_trusted(basis, settings)], rows)
+    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
 
 
 _linearized = twin_of(_linearize_natively)(_linearized_by_numpy)
-
-
-@lru_cache(maxsize=16)  # as many as bases
-def _trusted(basis: Basis, settings: StepSettings) -> IntArray:
-    return readonly(trusted_nodes(basis, settings))
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:
