@@ -231,8 +231,8 @@ class Deadline:
     def shortened(self, by: float = 0.0, at_most: float = math.inf) -> Deadline:
         """Return a deadline with the same start, `by` seconds earlier and at most `at_most` seconds after the start."""
         earlier = object.__new__(type(self))
-        earlier._clock, earlier._began, earlier._stop = self._clock, self._began, self._stop
-        earlier.seconds = min(self.seconds - by, at_most)
+        earlier.seconds, earlier._began = min(self.seconds - by, at_most), self._began
+        earlier._clock, earlier._stop = self._clock, self._stop
         return earlier
 
 

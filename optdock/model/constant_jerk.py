@@ -132,10 +132,8 @@ class TimeLaw(FrozenArrays):
     states: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        durations, jerks = (
-            frozen_array(self.durations, "time law.durations"),
-            frozen_array(self.jerks, "time law.jerks"),
-        )
+        durations = frozen_array(self.durations, "time law.durations")
+        jerks = frozen_array(self.jerks, "time law.jerks")
         if durations.size == 0 or durations.size != jerks.size:
             raise InvalidValue(f"time law: needs >= 1 phase with a jerk each, got {durations.size}, {jerks.size}")
         if not (durations > 0.0).all():

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import math
-import operator
 from dataclasses import dataclass, fields
 from enum import Enum
 from types import MappingProxyType
@@ -262,10 +261,8 @@ class MotionLimits:
 
     def start_wait(self, path: Path) -> float:
         """Return the longest time [s] to steer the wheels from an unknown angle to the angle at the start of `path`."""
-        if math.isinf(self.max_steering_rate):
-            return 0.0
-        first = path.segments[0]
-        return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
+        first, steers = path.segments[0], math.isfinite(self.max_steering_rate)
+        return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0])) if steers else 0.0
 
     def steering_time_to(self, curvature: float) -> float:
         """Return the longest time [s] to steer from an unknown angle to the angle for a curvature [1/m].
@@ -281,15 +278,10 @@ class MotionLimits:
         return (farthest + begins) / self.max_steering_rate
 
 
-_BOUNDS = [spec.name for spec in fields(MotionLimits) if spec.name not in DIMENSIONS]
-_bounds_of = operator.attrgetter(*_BOUNDS)
-
-
 def finite_limits(limits: MotionLimits) -> dict[str, float]:
-    """Return all finite bounds by name, including bounds that are not in `LIMITS`."""
-    return {
-        name: bound for name, bound in zip(_BOUNDS, _bounds_of(limits), strict=True) if -math.inf < bound < math.inf
-    }
+    """Return all finite bounds by name, including bounds that are not in `LIMITS` and those of a subclass."""
+    values = {name: getattr(limits, name) for name in limits.__dataclass_fields__ if name not in DIMENSIONS}
+    return {name: value for name, value in values.items() if -math.inf < value < math.inf}
 
 
 def _rule(name: str, value: float) -> tuple[str, bool]:

@@ -197,10 +197,10 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
         PluginError: See `create_plugin`.
         InvalidValue: If `asked` is neither a name nor a choice nor a plugin, or a parameter is wrong.
     """
-    if isinstance(asked, interface):
-        return asked
     if isinstance(asked, str):
         return create_plugin(interface, asked)
+    if isinstance(asked, interface):
+        return asked
     if isinstance(asked, PluginChoice):
         return create_plugin(interface, asked.name, asked.parameters)
     if isinstance(asked, type):
