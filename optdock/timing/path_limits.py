@@ -416,7 +416,7 @@ class ReferenceBounds:
         jumps, Shape (5, jumps).
         """
         limits, nodes = self.limits, self.jumps
-        along = np.concatenate((limits.s, self._left.ravel(), self._slope.ravel()))
+        along = np.concatenate((limits.s, self._left, self._slope), axis=None)
         if not nodes.size:
             return along, np.zeros((5, 0))
         slowness = np.zeros(nodes.size)
