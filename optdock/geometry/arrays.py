@@ -124,7 +124,7 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     if array.ndim != (1 if columns is None else 2) or (columns is not None and array.shape[1] != columns):
         raise InvalidValue(f"{name}: must have shape {wanted}, got {array.shape}")
     is_finite = np.isfinite(array)
-    if not is_finite.all():
+    if not np.logical_and.reduce(is_finite, axis=None):
         bad = np.argwhere(~is_finite)[0]
         raise InvalidValue(f"{name}: must be finite, got {array[tuple(bad)]} at index {bad.tolist()}")
     return readonly(array)
@@ -134,7 +134,7 @@ def vector(values: ArrayLike) -> FloatArray:
     """Return a number, or numbers of Shape (n,), as an array of Shape (n,); such an array is not copied."""
     if type(values) is np.ndarray and values.dtype is _DOUBLE and values.ndim == 1:
         return values
-    return np.atleast_1d(np.asarray(values, dtype=np.float64))
+    return np.array(values, dtype=np.float64, ndmin=1)
 
 
 def digest(*parts: ArrayLike | str) -> str:

@@ -149,7 +149,7 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
         required = least_required(problem, poses[:, 0], poses[:, 1], slack, end_clearances(problem).start)
         footprint, obstacles = problem.robot.footprint, problem.all_obstacles
         clearance, row = pose_clearances(poses, footprint, obstacles, float(required.max()) + slack)
-        k = int(np.argmax(required - clearance))
+        k = int((required - clearance).argmax())
         if not required[k] - clearance[k] > 2.0 * slack:
             return None
         name = obstacles.name_of(int(row[k]))

@@ -174,7 +174,7 @@ class _Search:
             lower = np.minimum(lower, np.maximum(everything.lower.min(axis=0), lower - _SEEN_FROM))
             upper = np.maximum(upper, np.minimum(everything.upper.max(axis=0), upper + _SEEN_FROM))
         side, extent = 2.0 * CELLS * cell, float((upper - lower).max()) + 2.0 * near
-        above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
+        above = min(max(math.ceil(math.log2(extent / side)), 0), _LARGEST)
         turning = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
         headings = turning if self.body.turns else 1
         return CellGrid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
@@ -203,7 +203,7 @@ class _Search:
             return False  # a wall might be missed between two nodes
         clearance = self.obstacles.distances(corner, step, nodes) - radius - margin * step
         is_free = clearance >= self.problem.path_clearance.required
-        row, column = np.nonzero(~is_free & (clearance >= 0.0))  # free if less is required there
+        row, column = (~is_free & (clearance >= 0.0)).nonzero()  # free if less is required there
         x, y = (self.grid.origin + corner)[:, None] + step * np.stack((column, row))
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
         is_free[row, column] = clearance[row, column] >= required

@@ -49,25 +49,25 @@ class ObstacleLattice:
     def _covered(self, corner: FloatArray, step: float, count: int) -> IntArray:
         """Return the nodes inside obstacles: rows, first columns, and columns after the last ones, Shape (n, 3)."""
         low, high = (self.lower - corner) / step, (self.upper - corner) / step
-        met = np.flatnonzero(((high >= 0.0) & (low <= count - 1)).all(axis=1))
-        first = np.ceil(np.clip(low[met, 1], 0, count - 1)).astype(np.int64)
-        number = np.maximum(np.floor(np.clip(high[met, 1], 0, count - 1)).astype(np.int64) + 1 - first, 0)
-        piece = np.repeat(np.arange(met.size), number)
-        row = np.arange(piece.size) - np.repeat(np.cumsum(number) - number, number) + first[piece]
-        (nx, ny), offset = np.moveaxis(self.normals[met], 2, 0), self.offsets[met] - self.normals[met] @ corner
+        met = ((high >= 0.0) & (low <= count - 1)).all(axis=1).nonzero()[0]
+        first = np.ceil(low[met, 1].clip(0, count - 1)).astype(np.int64)
+        number = np.maximum(np.floor(high[met, 1].clip(0, count - 1)).astype(np.int64) + 1 - first, 0)
+        piece = np.arange(met.size).repeat(number)
+        row = np.arange(piece.size) - (number.cumsum() - number).repeat(number) + first[piece]
+        (nx, ny), offset = self.normals[met].transpose(2, 0, 1), self.offsets[met] - self.normals[met] @ corner
         # An edge with its normal along y admits all or none of a row.
         room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
         steep, is_along = step * nx[piece], nx[piece] == 0.0
         bound = np.divide(room, steep, out=np.where(room < 0.0, -inf, inf), where=~is_along)
         until = np.where((steep > 0.0) | is_along, bound, inf).min(axis=1, initial=inf)
         since = np.where(steep < 0.0, bound, -inf).max(axis=1, initial=-inf)
-        begin = np.ceil(np.clip(since, 0, count)).astype(np.int64)
-        stop = np.maximum(np.floor(np.clip(until, -1, count - 1)).astype(np.int64) + 1, begin)
+        begin = np.ceil(since.clip(0, count)).astype(np.int64)
+        stop = np.maximum(np.floor(until.clip(-1, count - 1)).astype(np.int64) + 1, begin)
         return np.column_stack((row, begin, stop))
 
     def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
         """Return points of the outlines clipped to a square ([Liang1984]), at most `spacing` apart, Shape (n, 2)."""
-        rows = np.flatnonzero(((self.low <= corner + extent) & (self.high >= corner)).all(axis=1))
+        rows = ((self.low <= corner + extent) & (self.high >= corner)).all(axis=1).nonzero()[0]
         start, along = self.starts[rows] - corner, self.along[rows]
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = -start / along, (extent - start) / along
@@ -77,8 +77,8 @@ class ObstacleLattice:
         kept = enter <= leave
         enter, leave, start, along = enter[kept], leave[kept], start[kept], along[kept]
         number = np.ceil((leave - enter) * np.hypot(*along.T) / spacing).astype(np.int64) + 1
-        edge = np.repeat(np.arange(number.size), number)
-        place = (np.arange(edge.size) - np.repeat(np.cumsum(number) - number, number)) / np.maximum(number - 1, 1)[edge]
+        edge = np.arange(number.size).repeat(number)
+        place = (np.arange(edge.size) - (number.cumsum() - number).repeat(number)) / np.maximum(number - 1, 1)[edge]
         share = enter[edge] + place * (leave - enter)[edge]
         points: FloatArray = np.clip(start[edge] + share[:, None] * along[edge], 0.0, extent)
         return points

@@ -58,11 +58,11 @@ def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, 
     s, v, a = states
     gain = durations * jerks
     s[0], v[0], a[0] = 0.0, 0.0, 0.0
-    np.cumsum(gain, out=a[1:])
+    gain.cumsum(out=a[1:])
     a += start[2]
-    np.cumsum(durations * (a[:-1] + 0.5 * gain), out=v[1:])
+    (durations * (a[:-1] + 0.5 * gain)).cumsum(out=v[1:])
     v += start[1]
-    np.cumsum(durations * (v[:-1] + durations * (0.5 * a[:-1] + gain / 6.0)), out=s[1:])
+    (durations * (v[:-1] + durations * (0.5 * a[:-1] + gain / 6.0))).cumsum(out=s[1:])
     s += start[0]
     return states
 
@@ -132,21 +132,19 @@ class TimeLaw(FrozenArrays):
     states: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        durations, jerks = (
-            frozen_array(self.durations, "time law.durations"),
-            frozen_array(self.jerks, "time law.jerks"),
-        )
+        durations = frozen_array(self.durations, "time law.durations")
+        jerks = frozen_array(self.jerks, "time law.jerks")
         if durations.size == 0 or durations.size != jerks.size:
             raise InvalidValue(f"time law: needs >= 1 phase with a jerk each, got {durations.size}, {jerks.size}")
-        if not np.all(durations > 0.0):
+        if not (durations > 0.0).all():
             raise InvalidValue("time law.durations: must be > 0 s")
         for name in ("start_s", "start_speed", "start_acceleration"):
             vars(self)[name] = finite_number(getattr(self, name), f"time law.{name}")
         start = self.start_s, self.start_speed, self.start_acceleration
         with np.errstate(over="ignore", invalid="ignore"):
-            times = np.concatenate(([0.0], np.cumsum(durations)))
+            times = np.concatenate(([0.0], durations.cumsum()))
             states = np.ascontiguousarray(border_states(durations, jerks, start).T)
-        if not (np.all(np.isfinite(states)) and np.isfinite(times[-1])):
+        if not (np.isfinite(states).all() and np.isfinite(times[-1])):
             raise InvalidValue("time law: the motion overflows; durations or jerks are too large")
         vars(self).update(durations=durations, jerks=jerks, times=readonly(times), states=readonly(states))
 

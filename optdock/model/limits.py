@@ -261,8 +261,8 @@ class MotionLimits:
 
     def start_wait(self, path: Path) -> float:
         """Return the longest time [s] to steer the wheels from an unknown angle to the angle at the start of `path`."""
-        first = path.segments[0]
-        return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
+        first, steers = path.segments[0], math.isfinite(self.max_steering_rate)
+        return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0])) if steers else 0.0
 
     def steering_time_to(self, curvature: float) -> float:
         """Return the longest time [s] to steer from an unknown angle to the angle for a curvature [1/m].
@@ -279,8 +279,8 @@ class MotionLimits:
 
 
 def finite_limits(limits: MotionLimits) -> dict[str, float]:
-    """Return all finite bounds by name, including bounds that are not in `LIMITS`."""
-    values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
+    """Return all finite bounds by name, including bounds that are not in `LIMITS` and those of a subclass."""
+    values = {name: getattr(limits, name) for name in limits.__dataclass_fields__ if name not in DIMENSIONS}
     return {name: value for name, value in values.items() if -math.inf < value < math.inf}
 
 

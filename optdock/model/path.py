@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidPath
-from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly, vector
 from optdock.geometry.checked import sampling_step
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.model.segments import (
@@ -229,7 +229,7 @@ class Path(FrozenArrays):
     def _evaluate(
         self, s: ArrayLike, of: Callable[[Segment, FloatArray], FloatArray], shape: tuple[int, ...]
     ) -> FloatArray:
-        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        points = vector(s)
         if len(self.segments) == 1:
             return of(self.segments[0], points)
         owners, out = _owners(self, points), np.empty((points.size, *shape))

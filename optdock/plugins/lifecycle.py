@@ -76,10 +76,14 @@ class PluginContext:
     local_costmap: Costmap | None = None
 
     def __post_init__(self) -> None:
-        kinds = {"costmap": Costmap, "footprint": Footprint, "problem": DockingProblem, "local_costmap": Costmap}
-        for name, kind in kinds.items():
-            if getattr(self, name) is not None:
-                instance(kind, getattr(self, name), f"context.{name}")
+        for kind, value, name in (
+            (Costmap, self.costmap, "costmap"),
+            (Footprint, self.footprint, "footprint"),
+            (DockingProblem, self.problem, "problem"),
+            (Costmap, self.local_costmap, "local_costmap"),
+        ):
+            if value is not None:
+                instance(kind, value, f"context.{name}")
         if self.problem is None:
             if self.costmap is None:
                 object.__setattr__(self, "costmap", self.local_costmap)

@@ -63,6 +63,8 @@ _NAV2_ALIASES: Mapping[str, Mapping[str, str]] = {
     "smoothers": {"ConstrainedSmoother": "CasadiSmoother"},
 }
 
+_KINDS: Mapping[type[Plugin], str] = {interface: kind for kind, interface in INTERFACES.items()}
+
 P = TypeVar("P", bound=Plugin)
 
 
@@ -123,7 +125,7 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     Raises:
         PluginError: If the name is unknown, the import fails, or the class is not an `interface`.
     """
-    kind = next((k for k, known in INTERFACES.items() if known is interface), "")
+    kind = _KINDS.get(interface, "")
     if not isinstance(name, str):
         raise PluginError(f"{kind}: a plugin's name must be text, got {name!r}")
     return cast("type[P]", _loaded(kind, name))
@@ -195,10 +197,10 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
         PluginError: See `create_plugin`.
         InvalidValue: If `asked` is neither a name nor a choice nor a plugin, or a parameter is wrong.
     """
-    if isinstance(asked, interface):
-        return asked
     if isinstance(asked, str):
         return create_plugin(interface, asked)
+    if isinstance(asked, interface):
+        return asked
     if isinstance(asked, PluginChoice):
         return create_plugin(interface, asked.name, asked.parameters)
     if isinstance(asked, type):

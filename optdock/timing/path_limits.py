@@ -289,8 +289,9 @@ def segment_limits(
         begin: Start of the segment on the whole path [m].
     """
     spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING
-    zone_start = min(max(zone_start, 0.0), segment.length)
-    s = _nodes(segment, max(spacing, segment.length / _MOST_NODES), zone_start)
+    length = segment.length
+    zone_start = min(max(zone_start, 0.0), length)
+    s = _nodes(segment.knots, length, max(spacing, length / _MOST_NODES), zone_start)
     zone_start = float(s[np.abs(s - zone_start).argmin()])  # the nearest node replaces the zone start
     cells = s[1:] - s[:-1]
     return PathLimits(
@@ -326,14 +327,15 @@ def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
     return excess
 
 
-def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
+def _nodes(knots: FloatArray, length: float, spacing: float, zone_start: float) -> FloatArray:
     """Return the segment's knots and the zone start, with equal steps of at most `spacing` between them."""
-    knots = np.concatenate((segment.knots, [zone_start]))
+    knots = np.concatenate((knots, [zone_start]))
     knots.sort()
-    keep = np.ones(knots.size, dtype=np.bool_)
-    keep[1:] = knots[1:] - knots[:-1] > 1e-12 * max(1.0, segment.length)
+    keep = np.empty(knots.size, dtype=np.bool_)
+    keep[0] = True
+    keep[1:] = knots[1:] - knots[:-1] > 1e-12 * max(1.0, length)
     knots = knots[keep]
-    knots[-1] = segment.length
+    knots[-1] = length
     steps = knots[1:] - knots[:-1]
     parts = np.maximum(1, np.ceil(steps / spacing - 1e-9)).astype(np.int64)
     owner = np.arange(steps.size).repeat(parts)
@@ -414,7 +416,7 @@ class ReferenceBounds:
         jumps, Shape (5, jumps).
         """
         limits, nodes = self.limits, self.jumps
-        along = np.concatenate((limits.s, self._left.ravel(), self._slope.ravel()))
+        along = np.concatenate((limits.s, self._left, self._slope), axis=None)
         if not nodes.size:
             return along, np.zeros((5, 0))
         slowness = np.zeros(nodes.size)

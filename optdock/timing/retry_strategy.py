@@ -65,6 +65,7 @@ __all__ = [
 
 LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are omitted
+_WITHOUT_MOTION = TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT
 # Reserves of a deadline, as multiples of the time for evaluating the curvature of the path, which depends on path and
 # machine: on easy scenes, with kernels in C, the last method of the search takes 4, the windowed method 3 and the
 # proof 2.7 in the median.
@@ -225,11 +226,12 @@ def _proven(
     """Return the certified result, with new plans in place of rejected ones, or the failure of a segment."""
     drive, zone, start = request
     while True:
-        result = _result(path, request, plans)
-        if result.status is not TimingStatus.OK or result.trajectory is None:
-            return result
+        worst = max(plans, key=lambda plan: plan.status)  # statuses are ordered by severity
+        trajectory = None if worst.status in _WITHOUT_MOTION else _driven(path, request, plans)
+        if worst.status is not TimingStatus.OK or trajectory is None:
+            return _result(plans, worst, trajectory)
         proof = certify_trajectory(
-            result.trajectory,
+            trajectory,
             drive,
             zone,
             start_speed=start.speed,
@@ -238,10 +240,10 @@ def _proven(
             is_late=whole.passed,
         )
         if proof.certified:
-            return replace(result, worst_ratio=max(proof.ratios.values()))
+            return _result(plans, worst, trajectory, max(proof.ratios.values()))
         if whole.passed():
             reason = "the time was up before the motion was proven"
-            return replace(result, status=TimingStatus.TIMED_OUT, trajectory=None, reason=reason)
+            return replace(_result(plans, worst, None), status=TimingStatus.TIMED_OUT, reason=reason)
         first = proof.violations[0]
         i = int(np.clip(np.searchsorted(path.segment_starts, first.s, side="right") - 1, 0, len(plans) - 1))
         plans[i] = best_of(itertools.chain(waiting[i], [_refused(plans[i], first)]))
@@ -260,19 +262,23 @@ def _undrivable(path: Path) -> str:
     return "" if any(segment.length > NO_LENGTH for segment in path.segments) else "path has no length"
 
 
-def _result(path: Path, request: _Request, plans: list[SegmentPlan]) -> TimingResult:
-    worst = max(plans, key=lambda plan: plan.status)  # statuses are ordered by severity
-    trajectory = None
-    if worst.status not in (TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT):
-        driven = path if len(plans) == len(path.segments) else Path(path.segments[: len(plans)])
-        waits = _waits(path, request)
-        parts = [(*waits.get(i, ()), *plan.phases) for i, plan in enumerate(plans)]
-        phases = np.array([phase for part in parts for phase in part if phase[0] > 0.0])
-        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *request.start[:2]))
+def _driven(path: Path, request: _Request, plans: list[SegmentPlan]) -> Trajectory:
+    """Return the motion of all plans, with the rests between them."""
+    driven = path if len(plans) == len(path.segments) else Path(path.segments[: len(plans)])
+    waits = _waits(path, request)
+    parts = [(*waits.get(i, ()), *plan.phases) for i, plan in enumerate(plans)]
+    phases = np.array([phase for part in parts for phase in part if phase[0] > 0.0])
+    return Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *request.start[:2]))
+
+
+def _result(
+    plans: list[SegmentPlan], worst: SegmentPlan, trajectory: Trajectory | None, proven: float | None = None
+) -> TimingResult:
+    """Return the result with the status of the worst plan; `proven`: largest ratio that was proven."""
     return TimingResult(
         worst.status,
         trajectory,
-        max(plan.ratio for plan in plans),
+        max(plan.ratio for plan in plans) if proven is None else proven,
         worst.overshoot,
         TimingReport(tuple(plan.how for plan in plans)),
         reason=worst.reason,

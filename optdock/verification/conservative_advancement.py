@@ -107,7 +107,7 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
         return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
     attained = at_end = -np.inf
     if sharp or begun is None:
-        ends = np.stack((problem.start.as_array(), path.end.as_array()))
+        ends = np.array((problem.start.as_array(), path.end.as_array()))
         clearances, _ = compiled_clearances(ends, footprint, obstacles)
         attained = at_end = float(clearances[1])
         if begun is None:

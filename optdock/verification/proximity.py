@@ -111,7 +111,7 @@ def of_pieces(
     """Return the result of `pose_clearances` without the check of unions."""
     reach = footprint.circumscribed_radius + min(within, _NEARBY)
     rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-    if rows.size < 0.5 * len(obstacles) and np.all(np.isfinite(poses)):
+    if rows.size < 0.5 * len(obstacles) and np.isfinite(poses).all():
         best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
         # The omitted obstacles are at least `_NEARBY` away.
         if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
@@ -133,14 +133,14 @@ def _nearest(
         apart = broad_phase(body, poses, obstacles)
         count = min(m, _NEAREST)
         nearest = np.zeros((n, m), dtype=np.bool_)
-        nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
+        nearest[np.arange(n)[:, None], apart.argpartition(count - 1, axis=1)[:, :count]] = True
         found, known = np.full((n, m), np.inf), best
         for some in (nearest, ~nearest):
-            i, o = np.nonzero(some & ~((apart > known[:, None]) & (apart > 0.0)))
+            i, o = (some & ~((apart > known[:, None]) & (apart > 0.0))).nonzero()
             if i.size:
                 found[i, o] = separation(body.body, poses[i], obstacles.pieces(o)).distance
                 known = np.minimum(known, found.min(axis=1))
-        k = np.argmin(found, axis=1)
+        k = found.argmin(axis=1)
         smallest = found[np.arange(n), k]
         row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
     return best, row

@@ -7,7 +7,6 @@ more as a clothoid spline, to rounding accuracy.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -231,7 +230,7 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
     target = ends.target
     back = float(ends.signs[-1]) * final_straight
     goal = target + back * np.array([np.cos(target[2]), np.sin(target[2]), 0.0])
-    variables = onto_goal(basis, variables, ends, nlp.bounds, replace(settings, tolerance=settings.polished))
+    variables = onto_goal(basis, variables, ends, nlp.bounds, settings.of_exact_path)
     splines = _chained(basis, variables, ends, final_straight)
     for _ in range(settings.exact_steps):
         error = splines[-1].end.as_array() - goal

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
-from smoothers.scp.collision.clearance_along import Room, clearance_along, evaluates_all_edges
+from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.collision_scene import RULE_NUMBERS
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
 from smoothers.scp.cost import Quadratic
@@ -39,12 +37,11 @@ from smoothers.scp.visibility_constraint import linearized_view, view_along
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray, IntArray
-    from smoothers.scp.basis import Basis
+    from optdock.geometry.arrays import FloatArray
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.settings import LoopSettings, StepSettings
+    from smoothers.scp.settings import LoopSettings
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
@@ -148,17 +145,12 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
 
     The change is measured from the iterate `before` and is 0 if that is None.
     """
-    return (_evaluated if _is_compiled(nlp) else _evaluated_by_numpy)(nlp, variables, before)
-
-
-def _is_compiled(nlp: NonlinearProgram) -> bool:
-    """Whether the kernel covers all constraints of a program."""
-    return nlp.view is None and nlp.terms is None and evaluates_all_edges(nlp.scene)
+    return (_evaluated if nlp.is_compiled else _evaluated_by_numpy)(nlp, variables, before)
 
 
 def _evaluate_natively(nlp: NonlinearProgram, variables: Variables, before: Iterate | None) -> tuple[Iterate, float]:
     (counts, numbers), basis, scene, zones = nlp.packed, nlp.basis, nlp.scene, nlp.settings.step.zones
-    nodes, size, room = basis.num_nodes, basis.size, Room.of(scene, basis)
+    nodes, size, room = basis.num_nodes, basis.size, nlp.room
     along = 4 * nodes + 6 * basis.num_intervals
     given = variables if before is None else (*variables, before.rollout.packed[: 3 * nodes], before.variables.lengths)
     start = size + along
@@ -237,7 +229,7 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
 
 def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
     """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
-    return (_linearized if _is_compiled(nlp) else _linearized_by_numpy)(nlp, current, buffer)
+    return (_linearized if nlp.is_compiled else _linearized_by_numpy)(nlp, current, buffer)
 
 
 def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
@@ -252,7 +244,7 @@ def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) 
     room, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
     start = size * (2 * size + 1)
     headings = start + 3 * size
-    gap = headings + _trusted(basis, step).size * size
+    gap = headings + trusted_nodes(basis, step).size * size
     node, out = np.empty(most, dtype=np.int64), np.empty(gap + most * (size + 1))
     work, indices = pool_of_this_thread().work(
         size * (3 * nodes + 4) + room * (size + 2) + 3 * discs + 9 * p + 4 * (2 * v + k),
@@ -309,15 +301,10 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
     wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
     rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
-    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[_trusted(basis, settings)], rows)
+    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
 
 
 _linearized = twin_of(_linearize_natively)(_linearized_by_numpy)
-
-
-@lru_cache(maxsize=16)  # as many as bases
-def _trusted(basis: Basis, settings: StepSettings) -> IntArray:
-    return readonly(trusted_nodes(basis, settings))
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:

@@ -45,7 +45,8 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
             np.array([len(centres) for centres, _ in discs], dtype=np.int64),
         )
     )
-    return PackedProgram(readonly(counts), readonly(np.concatenate((_numbers(nlp), *_arrays(nlp, discs)))))
+    numbers = np.concatenate((_numbers(nlp), *_arrays(nlp, discs)), axis=None)
+    return PackedProgram(readonly(counts), readonly(numbers))
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:
@@ -69,8 +70,7 @@ def _arrays(nlp: NonlinearProgram, discs: list[tuple[FloatArray, float]]) -> lis
     ends, outer, inner = nlp.ends, nlp.bounds, nlp.inner_bounds
     bounds = outer.lower, outer.upper, inner.lower, inner.upper
     radii = np.array([radius for _, radius in discs])
-    arrays = ends.start, ends.signs, ends.target, *bounds, *nlp.cost.hessians, *nlp.cost.reference, radii, centres
-    return [array.ravel() for array in arrays]
+    return [ends.start, ends.signs, ends.target, *bounds, *nlp.cost.hessians, *nlp.cost.reference, radii, centres]
 
 
 def _discs(nlp: NonlinearProgram) -> list[tuple[FloatArray, float]]:

@@ -109,7 +109,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     required = problem.path_clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
     distance, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
     short = required - distance
-    k = int(np.argmax(short))
+    k = int(short.argmax())
     if not short[k] > _TOLERANCE:
         return None
     name = problem.all_obstacles.name_of(int(rows[k]))

@@ -284,9 +284,10 @@ class IterationTimes:
 
     def reserve(self, *, has_candidate: bool) -> float:
         """Return the time [s] reserved for the certificate of the candidate, with a margin for later stages."""
+        if not has_candidate:
+            return 0.0
         share, most = self._settings.margin
-        margin = min(share * self.deadline.seconds, most)
-        return self._settings.certificate_reserve * self.certificate + margin if has_candidate else 0.0
+        return self._settings.certificate_reserve * self.certificate + min(share * self.deadline.seconds, most)
 
     def is_late(self) -> bool:
         """Whether a running certificate must be abandoned because it is too late."""

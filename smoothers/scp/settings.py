@@ -7,6 +7,8 @@ optimum by `python -m experiments.benchmarks optimality`. User parameters are in
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from dataclasses import dataclass
 
 __all__ = [
@@ -70,6 +72,11 @@ class GoalProjectionSettings:
     polished: float = 1e-11  # of the roll-out, which is within about 1e-9 of the spline
     exact: float = 3e-8  # [m, rad] of the spline, a thirtieth of the tolerance of the certificate
     exact_steps: int = 4
+
+    @functools.cached_property
+    def of_exact_path(self) -> GoalProjectionSettings:
+        """The settings with the tolerance `polished`."""
+        return dataclasses.replace(self, tolerance=self.polished)
 
 
 @dataclass(frozen=True)

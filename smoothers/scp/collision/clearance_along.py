@@ -86,7 +86,7 @@ class Room(NamedTuple):
         n = self.nodes
         required = Requirement(out[:n], out[n : 3 * n].reshape(n, 2), pairs[:n], out[3 * n : 4 * n])
         table = out[4 * n : 4 * n + self.width * p].reshape(self.width, p)
-        return Clearance.within(table, self.corners, Pairs(*pairs[n : n + 3 * p].reshape(3, p)), required)
+        return Clearance(Pairs(*pairs[n : n + 3 * p].reshape(3, p)), table[-1], required, table, self.corners)
 
 
 def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:

@@ -115,7 +115,7 @@ class Scene:
         body, obstacles = self.body, self.obstacles
         of_body = (body.vertices, body.normals, body.reach, body.lower, body.upper)
         parts = (*of_body, obstacles.vertices, obstacles.normals, obstacles.lower, obstacles.upper, self._rule_numbers)
-        return readonly(np.concatenate([part.ravel() for part in parts]))
+        return readonly(np.concatenate(parts, axis=None))
 
     @property
     def _rule_numbers(self) -> FloatArray:

@@ -11,6 +11,7 @@ discs along the centre line are pushed to the same side. The signed distance of 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -307,12 +308,13 @@ def covering_discs(vertices: FloatArray, most: int) -> tuple[FloatArray, float]:
     """Return centres, Shape (d, 2), and radius [m] of at most `most` discs along the box of `vertices` (v, 2)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent, middle = high - low, 0.5 * (low + high)
-    long = int(np.argmax(extent))
-    radius = 0.5 * float(extent.min())
-    half = 0.5 * float(extent.max()) - radius
-    count = int(np.clip(np.ceil(2.0 * half / max(radius, 1e-9)) + 1.0, 1, most))
-    centres = np.tile(middle, (count, 1))
-    centres[:, long] += np.linspace(-half, half, count)
+    short, long = sorted(extent.tolist())
+    radius = 0.5 * short
+    half = 0.5 * long - radius
+    count = min(math.ceil(2.0 * half / max(radius, 1e-9)) + 1, most)
+    centres = np.empty((count, 2))
+    centres[:] = middle
+    centres[:, extent.argmax()] += np.linspace(-half, half, count)
     return centres, radius
 
 

@@ -44,33 +44,37 @@ class Clearance(NamedTuple):
     """Pairs of a robot part and a nearby obstacle, with margins above the required clearance; one pair per column."""
 
     pairs: Pairs  # interval, part and obstacle
-    hull: Points  # swept vertices, those of the left node first, Shape (2v, p) [m]
-    axis: Points  # unit, obstacle to robot, Shape (1, p)
-    heights: FloatArray  # Shape (2v, p) [m], n.v less requirement and sag
-    outline: Points  # obstacle vertices, Shape (k, p) [m]
-    top: FloatArray  # Shape (p,) [m], largest n.q of the obstacle
     margin: FloatArray  # Shape (p,) [m], proven lower bound of clearance - required
     required: Requirement  # at every node
-    # memory of the arrays from `hull` to `margin`, in this order, Shape (6v + 2k + 4, p)
-    table: FloatArray
+    table: FloatArray  # memory of the properties below, in this order, and of `margin`, Shape (6v + 2k + 4, p)
+    vertices: int  # number of vertices of a hull, 2v
 
-    @classmethod
-    def within(cls, table: FloatArray, vertices: int, pairs: Pairs, required: Requirement) -> Clearance:
-        """Return the clearance whose arrays are views of `table`; `vertices`: number of hull vertices."""
-        axis, heights = 2 * vertices, 2 * vertices + 2
-        outline = heights + vertices
-        middle = (len(table) - 2 + outline) // 2
-        return cls(
-            pairs,
-            Points(table[:vertices], table[vertices:axis]),
-            Points(table[axis : axis + 1], table[axis + 1 : heights]),
-            table[heights:outline],
-            Points(table[outline:middle], table[middle:-2]),
-            table[-2],
-            table[-1],
-            required,
-            table,
-        )
+    @property
+    def hull(self) -> Points:
+        """Swept vertices, those of the left node first, Shape (2v, p) [m]."""
+        return Points(self.table[: self.vertices], self.table[self.vertices : 2 * self.vertices])
+
+    @property
+    def axis(self) -> Points:
+        """Unit vector from the obstacle to the robot, Shape (1, p)."""
+        return Points(*self.table[2 * self.vertices : 2 * self.vertices + 2, None])
+
+    @property
+    def heights(self) -> FloatArray:
+        """Heights n.v of the hull along the axis, less requirement and sag, Shape (2v, p) [m]."""
+        return self.table[2 * self.vertices + 2 : 3 * self.vertices + 2]
+
+    @property
+    def outline(self) -> Points:
+        """Obstacle vertices, Shape (k, p) [m]."""
+        rows = self.table[3 * self.vertices + 2 : -2]
+        return Points(rows[: len(rows) // 2], rows[len(rows) // 2 :])
+
+    @property
+    def top(self) -> FloatArray:
+        """Largest n.q of the obstacle, Shape (p,) [m]."""
+        top: FloatArray = self.table[-2]
+        return top
 
 
 def narrow_phase(
@@ -92,7 +96,8 @@ def narrow_phase(
     heights[len(dip) :] -= dip
     top = outline.along(axis).max(axis=0)
     rows = (*hull, *axis, heights, *outline, top[None], (heights.min(axis=0) - top)[None])
-    return Clearance.within(np.concatenate(rows), len(heights), pairs, body.required)
+    table = np.concatenate(rows)
+    return Clearance(pairs, table[-1], body.required, table, len(heights))
 
 
 def _both_ends(points: Points, column: IntArray) -> Points:

@@ -44,7 +44,7 @@ from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
 from optdock.verification.clearance_kernel import packed_footprint
 from smoothers.scp import basis as basis_module
-from smoothers.scp import initial_guess, loop, nlp, qp_step, term_rows
+from smoothers.scp import initial_guess, nlp, qp_step, term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
 from smoothers.scp.settings import DEFAULT_SETTINGS
@@ -304,7 +304,7 @@ SHARED = {
     "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
-    "_trusted": lambda: loop._trusted(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
+    "trusted_nodes": lambda: qp_step.trusted_nodes(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
     "_block": lambda: basis_module._block(8, 16),
     "_constant_elements": lambda: qp_step._constant_elements(basis_for(((8, 2),)), 8.0, DEFAULT_SETTINGS.step),
     "motion_table": lambda: motion_table(on_a_curve()),
