@@ -392,6 +392,7 @@ class Stages:
             if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
+            self._poll()
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:
