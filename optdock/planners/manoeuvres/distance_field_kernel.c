@@ -72,8 +72,9 @@ static double lowered(const Rocks *rocks, int64_t o, const double *xs, const dou
     return largest;
 }
 
-/* Lower the values of a block to the distances from some obstacles, (count,), nearest first. No point of the block is
- * nearer to an obstacle than the least distance between the block and the rectangle around the obstacle. */
+/* Lower the values of a block to the distances from some obstacles, (count,), the nearest one first. No point of
+ * the block is nearer to an obstacle than the gap between the block and the rectangle around the obstacle, if there is
+ * one; points inside several obstacles are compared with all of them. */
 static void lower_block(const Rocks *rocks, const int64_t *rows, int64_t count, const double *xs, const double *ys,
                         double *values)
 {
@@ -88,7 +89,7 @@ static void lower_block(const Rocks *rocks, const int64_t *rows, int64_t count, 
     }
     for (int64_t i = 0; i <= count; i++) {
         int64_t row = i == 0 ? first : i - 1;
-        if (gaps[row] > largest + ROUNDING || (i > 0 && row == first))
+        if ((gaps[row] > 0.0 && gaps[row] > largest + ROUNDING) || (i > 0 && row == first))
             continue;
         largest = lowered(rocks, rows[row], xs, ys, values);
     }
