@@ -51,7 +51,7 @@ _KERNELS = {
     "sensitivity": (loop, "sensitivity"),
     "goal projection": (loop, "project_and_roll_out"),
     "points of curves": (nurbs, "_spline_at"),
-    "cheapest words": (connections, "_cheapest"),
+    "cheapest words": (connections, "words_between"),
     "prices of paths": (manoeuvre_planner, "least_prices"),
     "tiles of the field": (distance_field, "_tile_values"),
     "crossings": (trajectory_rules, "crossings"),

@@ -68,7 +68,6 @@ _CLOSE = 0.01  # [m]: half a cell; accuracy of the narrowest place of a disc
 _ROUNDS = 8  # refinements for the bottleneck: four are usual, more where a wall has the same thickness everywhere
 _PLACES = 5  # places on the widest route that are compared by exact distances
 _POLISHED = 2  # refinements of a place, by a factor of four each
-_TILES_AT_ONCE = 8  # tiles added to a graph of positions between two checks of the clock
 _POLISHED_AT = (33, 9, 5)  # places along each axis with one, two or three free axes
 _FINE = 0.08  # [m]: twice the side of a cell; the place within smaller cells is found by exact distances
 _SEEN_FROM = 30.0  # [m]: obstacles farther from start and goal do not enlarge the tiles
@@ -222,6 +221,7 @@ class _Search:
         self.deadline = deadline
         while True:
             self.deadline.look()
+            self.graph.add((), self.deadline.look)  # after an interruption
             route = self.graph.route()
             if not route:
                 break
@@ -245,7 +245,7 @@ class _Search:
             else:
                 new += [self._seen(*place) for place in (tile.split() if tile.margin is not None else [tile[:3]])]
         graph.remove(keys)
-        graph.add(new)
+        graph.add(new, self.deadline.look)
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
@@ -280,10 +280,7 @@ class _Search:
     def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
         """Yield the narrowest point of the widest route of a disc, from cells refined until the point is accurate."""
         graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
-        present = self.graph.present()
-        for k in range(0, len(present), _TILES_AT_ONCE):
-            self.deadline.look()
-            graph.add([self.graph.tiles[key] for key in present[k : k + _TILES_AT_ONCE]])
+        graph.add([self.graph.tiles[key] for key in self.graph.present()], self.deadline.look)
         with contextlib.suppress(OutOfTime):
             for _ in range(_ROUNDS_OF_DISC):
                 self.deadline.look()

@@ -10,6 +10,7 @@ import functools
 import heapq
 import itertools
 import math
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -134,18 +135,27 @@ class ConnectivityGraph:
         self.tile_at = np.full((2 ** (grid.above + FINEST),) * 2, -1, dtype=np.int32)
         self.cost, self.tile_of = [OPEN] * 3, [-1] * 3
         self.joints: dict[tuple[int, int], IntArray] = {}
+        self._unlabelled: deque[Tile] = deque()
+        self._joined = 0  # number of tiles that are joined to their neighbours
 
-    def add(self, tiles: Iterable[Tile]) -> None:
-        """Add tiles to the plane in place of removed tiles, and join them to their neighbours."""
-        first = len(self.tiles)
-        for tile in tiles:
-            self._label(tile)
-        for key in range(first, len(self.tiles)):
+    def add(self, tiles: Iterable[Tile], look: Callable[[], None] = lambda: None) -> None:
+        """Add tiles to the plane in place of removed tiles, and join them to their neighbours.
+
+        `look` is called before every step. If it raises an exception, the graph is not complete until another call,
+        with further tiles or none, has returned.
+        """
+        self._unlabelled.extend(tiles)
+        while self._unlabelled:
+            look()
+            self._label(self._unlabelled.popleft())
+        for key in range(self._joined, len(self.tiles)):
+            look()
             rows, columns = self._place(key)
             self._join(key, 0, 0, columns.start - 1, rows)
             self._join(key, 0, -1, columns.stop, rows)
             self._join(key, 1, 0, rows.start - 1, columns)
             self._join(key, 1, -1, rows.stop, columns)
+            self._joined = key + 1
 
     def remove(self, keys: set[int]) -> None:
         """Remove tiles; the caller must add other tiles in their place."""

@@ -7,6 +7,8 @@
 #include <stdint.h>
 
 #define TILE 32       /* grid points along the side of a tile */
+#define BLOCK 8       /* grid points along the side of a block of a tile */
+#define CHUNK 256     /* obstacles that are compared with the blocks of a tile at once */
 #define ROUNDING 1e-9 /* [m]: more than the rounding of heights and distances */
 
 /* The larger and the smaller of two numbers; the field contains no NaN. */
@@ -46,6 +48,62 @@ static double to_polygon(double x, double y, int64_t k, const double *vertices, 
     return smaller(nearest, height < 0.0 ? -sqrt(squared) : sqrt(squared));
 }
 
+/* The obstacles; see `optdock_tile_values`. */
+typedef struct {
+    int64_t k; /* corners of an obstacle */
+    const int64_t *is_box;
+    const double *low, *high, *vertices, *normals, *offsets;
+} Rocks;
+
+/* Lower the values of a block, whose first point is `values`, to the distances from an obstacle. Return the largest. */
+static double lowered(const Rocks *rocks, int64_t o, const double *xs, const double *ys, double *values)
+{
+    const double *low = rocks->low + 2 * o, *high = rocks->high + 2 * o, *vertices = rocks->vertices + 2 * rocks->k * o;
+    const double *normals = rocks->normals + 2 * rocks->k * o, *offsets = rocks->offsets + rocks->k * o;
+    double largest = -INFINITY;
+    for (int64_t i = 0; i < BLOCK; i++) {
+        for (int64_t j = 0; j < BLOCK; j++) {
+            double *value = values + TILE * i + j;
+            *value = rocks->is_box[o] ? to_box(xs[i], ys[j], low, high, *value)
+                                      : to_polygon(xs[i], ys[j], rocks->k, vertices, normals, offsets, *value);
+            largest = larger(largest, *value);
+        }
+    }
+    return largest;
+}
+
+/* Lower the values of a block to the distances from some obstacles, (count,), the nearest one first. No point of
+ * the block is nearer to an obstacle than the gap between the block and the rectangle around the obstacle, if there is
+ * one; points inside several obstacles are compared with all of them. */
+static void lower_block(const Rocks *rocks, const int64_t *rows, int64_t count, const double *xs, const double *ys,
+                        double *values)
+{
+    double gaps[CHUNK], largest = INFINITY;
+    int64_t first = 0;
+    for (int64_t i = 0; i < count; i++) {
+        const double *low = rocks->low + 2 * rows[i], *high = rocks->high + 2 * rows[i];
+        double x = larger(larger(low[0] - xs[BLOCK - 1], xs[0] - high[0]), 0.0);
+        double y = larger(larger(low[1] - ys[BLOCK - 1], ys[0] - high[1]), 0.0);
+        gaps[i] = sqrt(x * x + y * y);
+        first = gaps[i] < gaps[first] ? i : first;
+    }
+    for (int64_t i = 0; i <= count; i++) {
+        int64_t row = i == 0 ? first : i - 1;
+        if ((gaps[row] > 0.0 && gaps[row] > largest + ROUNDING) || (i > 0 && row == first))
+            continue;
+        largest = lowered(rocks, rows[row], xs, ys, values);
+    }
+}
+
+/* Lower the values of a tile to the distances from some obstacles, (count,). */
+static void lower_tile(const Rocks *rocks, const int64_t *rows, int64_t count, const double *xs, const double *ys,
+                       double *values)
+{
+    for (int64_t i = 0; count > 0 && i < TILE; i += BLOCK)
+        for (int64_t j = 0; j < TILE; j += BLOCK)
+            lower_block(rocks, rows, count, xs + i, ys + j, values + TILE * i + j);
+}
+
 /* Compute the values of tiles.
  *
  *   n, tiles, m, k       numbers of tiles to compute, of tiles along a side, of obstacles and of their corners
@@ -60,6 +118,7 @@ int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, doub
                             const double *high, const double *vertices, const double *normals, const double *offsets,
                             double *values)
 {
+    Rocks rocks = {k, is_box, low, high, vertices, normals, offsets};
     for (int64_t t = 0; t < n; t++, values += TILE * TILE) {
         double axes[2][TILE];
         for (int64_t i = 0; i < TILE; i++) {
@@ -68,18 +127,19 @@ int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, doub
         }
         for (int64_t i = 0; i < TILE * TILE; i++)
             values[i] = reach;
+        int64_t rows[CHUNK], count = 0;
         for (int64_t o = 0; o < m; o++) {
             const double *lower = low + 2 * o, *upper = high + 2 * o;
             if (!(lower[0] <= axes[0][TILE - 1] + reach && upper[0] >= axes[0][0] - reach &&
                   lower[1] <= axes[1][TILE - 1] + reach && upper[1] >= axes[1][0] - reach))
                 continue;
-            for (int64_t i = 0; i < TILE * TILE; i++) {
-                double x = axes[0][i / TILE], y = axes[1][i % TILE];
-                values[i] = is_box[o] ? to_box(x, y, lower, upper, values[i])
-                                      : to_polygon(x, y, k, vertices + 2 * k * o, normals + 2 * k * o, offsets + k * o,
-                                                   values[i]);
+            if (count == CHUNK) {
+                lower_tile(&rocks, rows, count, axes[0], axes[1], values);
+                count = 0;
             }
+            rows[count++] = o;
         }
+        lower_tile(&rocks, rows, count, axes[0], axes[1], values);
     }
     return 0;
 }

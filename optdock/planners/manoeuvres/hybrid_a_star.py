@@ -118,9 +118,9 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         shots = [Connections.merged([*shots, worth])]
         cheapest = np.full(len(tree), np.inf)
         np.minimum.at(cheapest, shooters, words.prices)
-        driven = tree.prices[fresh]
-        left = np.maximum(cheapest[fresh] - driven, wavefront.lengths(tree.poses[fresh, :2]) / speed)
-        for bound, row in zip((driven + _GREED * left).tolist(), fresh.tolist(), strict=True):
+        space.poll()
+        left = np.maximum(cheapest[fresh] - tree.prices[fresh], wavefront.lengths(tree.poses[fresh, :2]) / speed)
+        for bound, row in zip((tree.prices[fresh] + _GREED * left).tolist(), fresh.tolist(), strict=True):
             if from_start or row > 0:  # the entries already contain the motions into the dock in an allowed gear
                 heapq.heappush(opened, (bound, row))
         cheap, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]

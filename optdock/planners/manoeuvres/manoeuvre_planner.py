@@ -18,7 +18,7 @@ from pydantic import Field
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres
+from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, words_between
 from optdock.planners.manoeuvres.disc_routes import elastic_band
 from optdock.planners.manoeuvres.end_trees import (
     BOTH,
@@ -33,7 +33,7 @@ from optdock.planners.manoeuvres.end_trees import (
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, gear_changes, least_price, least_prices
-from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
+from optdock.planners.manoeuvres.reeds_shepp import TURNS
 from optdock.planners.manoeuvres.roadmap import roadmap_ways
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, never_cancelled
@@ -247,9 +247,9 @@ class Stages:
         straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
-        words = reeds_shepp_words(starts, np.stack([end.as_array() for end in ends]), self.radius)
-        form, end = np.nonzero(~np.isnan(words).any(axis=2))
-        ways = np.column_stack((words[form, end], -straights[end]))
+        goals = np.stack([end.as_array() for end in ends])
+        words = words_between(starts, goals, self.radius, self.problem.robot, len(TURNS))
+        ways = np.column_stack((words.lengths, -straights[words.pair]))
         return float(least_prices(ways, self.problem).min(initial=math.inf))
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
@@ -392,6 +392,7 @@ class Stages:
             if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
+            self._poll()
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:

@@ -3,11 +3,13 @@
 The shortest path with bounded curvature and any number of cusps is one of 48 words of at most five arcs and straight
 lines (`L+R-L-` and so on), as proven in [ReedsShepp1990]. The words have eleven closed forms, each with four mirrors:
 time reversal, reflection, both, or none. In words of three arcs the sign of the last arc is free, so 44 forms contain
-all 48 words. The forms are evaluated for many pairs of poses at once.
+all 48 words. The forms are evaluated for many pairs of poses at once, with the trigonometric functions of the C
+library, as in `connections_kernel.c`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray
 
-    # Where there is a solution, Shape (1 or 2, 4, n), and the lengths of its arcs of the same shape.
+    # Where there is a solution, Shape (1 or 2, 4, n), and the lengths of its arcs, which are broadcast to that shape.
     _Solution: TypeAlias = tuple[FloatArray | BoolArray | float, ...]
 
 __all__ = ["TURNS", "reeds_shepp_words"]
@@ -32,9 +34,6 @@ _MIRROR_X, _MIRROR_Y = (
     readonly(np.array([[1.0], [-1.0], [1.0], [-1.0]])),
     readonly(np.array([[1.0], [1.0], [-1.0], [-1.0]])),
 )
-_FOUR_ARCS = readonly(
-    np.array([1.0, -1.0])[:, None, None]
-)  # sign of the second of four arcs, with one cusp and with two
 
 
 def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> FloatArray:
@@ -68,32 +67,57 @@ def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> F
 class _Centres(NamedTuple):
     """Vectors from the centre of the first arc, a left turn, to the centre of the last one, in turning radii.
 
-    The first row is solved from the start to the goal, the second row back from the goal to the start. `phi`: change of
-    heading; `xi`, `eta`, `apart`, `bearing`: components of the vector, its length and its direction. Shape (2, 4, n)
-    for four mirrors and n pairs of poses, `phi` (4, n).
+    `phi`: change of heading, Shape (4, n) for four mirrors and n pairs of poses. `squared`: square of the length of the
+    vector; `tangent`, `slope`: length of the line that touches two opposite circles, and its angle to the vector, Shape
+    (4, n). `apart`, `bearing`: length and direction of the vector from the start to the goal, and of that back from the
+    goal to the start, Shape (2, 4, n).
     """
 
     phi: FloatArray
-    xi: FloatArray
-    eta: FloatArray
+    squared: FloatArray
+    tangent: FloatArray
+    slope: FloatArray
     apart: FloatArray
     bearing: FloatArray
+
+
+def _by_elements(function: Callable[..., float], *arguments: FloatArray) -> FloatArray:
+    """Return the values of a function of the C library, whose last bits may differ from those of NumPy's."""
+    values = list(map(function, *(argument.ravel().tolist() for argument in arguments)))
+    return np.array(values, dtype=np.float64).reshape(arguments[0].shape)
 
 
 def _centres(starts: FloatArray, goals: FloatArray, radius: float) -> tuple[_Centres, _Centres]:
     """Return the vectors for a last arc that is driven to the left, and for one to the right."""
     dx, dy = (goals[:, :2] - starts[:, :2]).T / radius
-    c, s = np.cos(starts[:, 2]), np.sin(starts[:, 2])
     phi = goals[:, 2] - starts[:, 2]
-    x, y = _MIRROR_X * (c * dx + s * dy), _MIRROR_Y * (c * dy - s * dx)
-    c, s = np.cos(phi), _MIRROR_X * _MIRROR_Y * np.sin(phi)
-    xi, eta = np.empty((2, 2, 4, len(starts))), np.empty((2, 2, 4, len(starts)))
-    for way, (ahead, left) in enumerate(((x, y - 1.0), (x * c + y * s, x * s - y * c - 1.0))):
-        xi[0, way], eta[0, way] = ahead - s, left + c
-        xi[1, way], eta[1, way] = ahead + s, left - c
-    apart, bearing, turned = np.hypot(xi, eta), np.arctan2(eta, xi), _MIRROR_X * _MIRROR_Y * phi
-    same, other = (_Centres(turned, xi[i], eta[i], apart[i], bearing[i]) for i in (0, 1))
-    return same, other
+    (c0, c), (s0, s) = (_by_elements(by, np.stack((starts[:, 2], phi))) for by in (math.cos, math.sin))
+    x, y = c0 * dx + s0 * dy, c0 * dy - s0 * dx
+    turned, reflection = _MIRROR_X * _MIRROR_Y * phi, _MIRROR_Y[::2]
+    left = reflection * y - 1.0
+    same = _one_way(x - reflection * s, left + c, turned)
+    other = _one_way(x + reflection * s, left - c, turned)
+    reflected = [2, 3, 0, 1]
+    return (
+        same._replace(
+            apart=np.concatenate((same.apart, same.apart)),
+            bearing=np.concatenate((same.bearing, turned - same.bearing)),
+        ),
+        other._replace(
+            apart=np.concatenate((other.apart, other.apart[:, reflected])),
+            bearing=np.concatenate((other.bearing, other.bearing[:, reflected] + turned)),
+        ),
+    )
+
+
+def _one_way(xi: FloatArray, eta: FloatArray, turned: FloatArray) -> _Centres:
+    """Return the vectors with components of Shape (2, n), without and with reflection, and their time reversals."""
+    squared, bearing = xi * xi + eta * eta, _by_elements(math.atan2, eta, xi)
+    tangent = np.sqrt(np.maximum(squared - 4.0, 0.0))
+    slope = _by_elements(math.atan2, np.full_like(tangent, 2.0), tangent)
+    squared, tangent, slope = (part.repeat(2, axis=0) for part in (squared, tangent, slope))
+    bearing = np.stack((bearing, np.pi - bearing), axis=1).reshape(4, -1)
+    return _Centres(turned, squared, tangent, slope, np.sqrt(squared)[None], bearing[None])
 
 
 def _within_half_turn(angle: FloatArray) -> FloatArray:
@@ -103,67 +127,57 @@ def _within_half_turn(angle: FloatArray) -> FloatArray:
 
 def _left_straight_left(to: _Centres) -> _Solution:
     """L+S+L+, equation 8.1."""
-    t = to.bearing[:1]
+    t = _within_half_turn(to.bearing[:1])
     v = _within_half_turn(to.phi - t)
     return (t >= -_ROUNDING) & (v >= -_ROUNDING), t, to.apart[:1], v
 
 
 def _left_straight_right(to: _Centres) -> _Solution:
     """L+S+R+, equation 8.2."""
-    squared = to.xi[:1] * to.xi[:1] + to.eta[:1] * to.eta[:1]
-    u = np.sqrt(np.maximum(squared - 4.0, 0.0))
-    t = _within_half_turn(to.bearing[:1] + np.arctan2(2.0, u))
+    t = _within_half_turn(to.bearing[:1] + to.slope)
     v = _within_half_turn(t - to.phi)
-    return (squared >= 4.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t, u, v
+    return (to.squared >= 4.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t, to.tangent, v
 
 
 def _left_right_left(to: _Centres) -> _Solution:
     """L+R-L, with the last arc in either gear, equations 8.3 and 8.4."""
-    u = -2.0 * np.arcsin(np.minimum(0.25 * to.apart, 1.0))
+    u = -2.0 * _by_elements(math.asin, np.minimum(0.25 * to.apart[0, ::2], 1.0)).repeat(2, axis=0)
     t = _within_half_turn(to.bearing + 0.5 * u + np.pi)
     v = _within_half_turn(to.phi - t + u)
-    return (to.apart <= 4.0) & (t >= -_ROUNDING) & (u <= _ROUNDING), t, u, v
+    return (to.apart <= 4.0) & (t >= -_ROUNDING), t, u, v
 
 
 def _four_arcs(to: _Centres) -> _Solution:
     """L+R+L-R- with one cusp, equation 8.7, and L+R-L-R+ with two cusps, equation 8.8."""
-    xi, eta = to.xi[0], to.eta[0]
-    rho = np.stack((0.25 * (2.0 + to.apart[0]), (20.0 - xi * xi - eta * eta) / 16.0))
-    u = _FOUR_ARCS * np.arccos(np.minimum(np.maximum(rho, 0.0), 1.0))
-    w = _FOUR_ARCS * -u  # the third arc
-    delta = _within_half_turn(u - w)
-    cosine, other_cosine = np.cos(u), np.cos(delta)
-    a, b = np.sin(u) - np.sin(delta), cosine - other_cosine - 1.0
-    turned = np.arctan2(eta * a - xi * b, xi * a + eta * b)
-    flipped = 2.0 * (other_cosine - cosine - cosine) + 3.0 < 0.0
-    t = _within_half_turn(np.where(flipped, turned + np.pi, turned))
-    v = _within_half_turn(t - u + w - to.phi)
-    valid = (rho >= 0.0) & (rho <= 1.0) & (t >= -_ROUNDING) & (_FOUR_ARCS * v <= _ROUNDING)
-    return valid, t, u, w, v
+    rho, other = 0.25 * (2.0 + to.apart[0]), (20.0 - to.squared) / 16.0
+    kept = np.minimum(np.maximum(other[::2], 0.0), 1.0)
+    once, twice = _by_elements(math.acos, np.stack((np.minimum(rho[::2], 1.0), kept))).repeat(2, axis=1)
+    towards = _by_elements(math.atan2, kept - 2.0, -np.sqrt(1.0 - kept * kept)).repeat(2, axis=0)
+    t = _within_half_turn(np.stack((to.bearing[0] + once + _HALF_PI, to.bearing[0] - towards)))
+    v = _within_half_turn(np.stack((t[0] - once - once - to.phi, t[1] - to.phi)))
+    valid = np.stack(((rho <= 1.0) & (v[0] <= _ROUNDING), (other >= 0.0) & (other <= 1.0) & (v[1] >= -_ROUNDING)))
+    return valid & (t >= -_ROUNDING), t, np.stack((once, -twice)), np.stack((-once, -twice)), v
 
 
 def _quarter_turn_then_left(to: _Centres) -> _Solution:
     """L+R-S-L- with a quarter turn of R, equation 8.9."""
-    r = np.sqrt(np.maximum(to.apart * to.apart - 4.0, 0.0))
-    t = _within_half_turn(to.bearing + np.arctan2(r, -2.0))
-    u, v = 2.0 - r, _within_half_turn(to.phi - _HALF_PI - t)
+    t = _within_half_turn(to.bearing + to.slope + _HALF_PI)
+    u, v = 2.0 - to.tangent, _within_half_turn(to.phi - _HALF_PI - t)
     return (to.apart >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING), t, -_HALF_PI, u, v
 
 
 def _quarter_turn_then_right(to: _Centres) -> _Solution:
     """L+R-S-R- with a quarter turn of R, equation 8.10."""
-    t, u = np.arctan2(to.xi, -to.eta), 2.0 - to.apart
+    t, u = _within_half_turn(to.bearing + _HALF_PI), 2.0 - to.apart
     v = _within_half_turn(t + _HALF_PI - to.phi)
     return (to.apart >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING), t, -_HALF_PI, u, v
 
 
 def _two_quarter_turns(to: _Centres) -> _Solution:
     """L+R-S-L-R+ with quarter turns before and after the straight line, equation 8.11."""
-    xi, eta, apart = to.xi[:1], to.eta[:1], to.apart[:1]
-    u = 4.0 - np.sqrt(np.maximum(apart * apart - 4.0, 0.0))
-    t = _within_half_turn(np.arctan2((4.0 - u) * xi - 2.0 * eta, -2.0 * xi + (u - 4.0) * eta))
-    v = _within_half_turn(t - to.phi)
-    valid = (apart >= 2.0) & (u <= _ROUNDING) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
+    t = _within_half_turn(to.bearing[:1] + to.slope + _HALF_PI)
+    u, v = 4.0 - to.tangent, _within_half_turn(t - to.phi)
+    valid = (to.apart[:1] >= 2.0) & (u <= _ROUNDING) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
     return valid, t, -_HALF_PI, u, -_HALF_PI, v
 
 

@@ -1,5 +1,6 @@
 """Numerical parts of the search for a proof: kernels and twins against each other and against SciPy."""
 
+import contextlib
 import itertools
 import os
 import shutil
@@ -11,7 +12,7 @@ from scipy.sparse import csgraph
 
 from experiments.fuzz.case import rng_of
 from optdock import kernels
-from optdock.impossibility import connectivity_graph, footprint_discs, obstacle_lattice
+from optdock.impossibility import connectivity_graph, footprint_discs, obstacle_lattice, proof
 from optdock.kernels import using_kernels
 
 LANES = ["twin"] + ["audit"] * (shutil.which(os.environ.get("CC", "cc").split()[0]) is not None)
@@ -187,3 +188,42 @@ def test_depths_are_those_of_shapely(lane):
     shape, places = shapely.Polygon(outline), shapely.points(points)
     found, apart = footprint_discs._depth(points, outline), shapely.distance(shape.exterior, places)
     np.testing.assert_allclose(found, np.where(shapely.contains(shape, places), apart - 1e-9, -apart), atol=1e-12)
+
+
+def drawn_tiles(grid, rng):
+    """Four tiles of level 0, of which one was not examined and one is split."""
+    places = [(0, 0, 1), (0, 1, 0), (0, 1, 1), *connectivity_graph.Tile(0, 0, 0).split()]
+    tiles = [connectivity_graph.Tile(0, 0, 1)]
+    for level, column, row in places[1:]:
+        margin = rng.normal(0.0, grid.cell, (grid.count(level), proof.CELLS, proof.CELLS)).astype(np.float32)
+        tiles.append(connectivity_graph.Tile(level, column, row, margin < -0.5 * grid.cell, margin))
+    return tiles
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5, 100])
+def test_a_graph_is_the_same_after_interruptions_between_its_steps(steps):
+    grid = connectivity_graph.CellGrid(np.zeros(2), 0.1, 2, 1)
+    ends = [np.array([0.3, 0.2, 0.1]), np.array([2.0, 1.9, 0.4])]
+    tiles, left = drawn_tiles(grid, rng_of("graph", 1, steps)), 0
+
+    def look():
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise InterruptedError
+
+    whole, parts = (
+        connectivity_graph.ConnectivityGraph(grid, ends, connectivity_graph.by_certainty(grid)) for _ in range(2)
+    )
+    whole.add(tiles)
+    waiting, calls = tiles, 0
+    while waiting or left < 0:
+        left, calls = steps, calls + 1
+        with contextlib.suppress(InterruptedError):
+            parts.add(waiting, look)
+        waiting = []
+    assert calls == -(-2 * len(tiles) // steps)
+    assert whole.cost == parts.cost
+    assert list(whole.joints) == list(parts.joints)
+    assert all(np.array_equal(joint, parts.joints[pair]) for pair, joint in whole.joints.items())
+    assert whole.route() == parts.route()

@@ -22,7 +22,7 @@ from optdock.planners.manoeuvres.arcs import Arcs, advance, are_free, first_free
 from optdock.planners.manoeuvres.disc_routes import Wavefront, elastic_band
 from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import FreeSpace
-from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
+from optdock.planners.manoeuvres.reeds_shepp import TURNS
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -56,18 +56,21 @@ def test_prices_of_both_lanes_are_equal(zone, speed):
         )
 
 
-@pytest.mark.parametrize("kind", ["random", "on a grid", "the same pose", "none"])
+@pytest.mark.parametrize("kind", ["random", "far", "quarter turns", "on a grid", "the same pose", "none"])
 def test_cheapest_words_of_both_lanes_are_equal(kind):
     draw, robot = np.random.default_rng(1), instance("reverse_cusp", 0).problem.robot
     starts, goals = draw.normal(0.0, 1.0, (2, 0 if kind == "none" else 90, 3))
+    if kind == "far":
+        goals[:, :2] *= 20.0
+    if kind == "quarter turns":  # with arcs of half a turn, whose sign depends on rounding
+        starts, goals = (np.round(part) * (0.8, 0.8, 0.5 * np.pi) for part in (starts, goals))
     if kind == "on a grid":
         starts, goals = np.round(starts), np.round(goals)
         goals[:, 2] = starts[:, 2]
     if kind == "the same pose":
         goals = starts.copy()
-    words = reeds_shepp_words(starts, goals, 0.8)
-    for per_pair in (1, 3, 12):
-        twin, native = both_lanes(lambda n=per_pair: connections._cheapest(words, 0.8, robot, n))
+    for per_pair in (1, 3, 12, len(TURNS)):
+        twin, native = both_lanes(lambda n=per_pair: connections.words_between(starts, goals, 0.8, robot, n))
         assert_equal(twin, native)
     ends = Arcs(starts[native.pair], native.lengths, native.curvatures).joints()[:, -1]
     assert np.abs(ends[:, :2] - goals[native.pair, :2]).max(initial=0.0) < 1e-9

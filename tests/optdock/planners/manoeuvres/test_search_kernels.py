@@ -81,6 +81,23 @@ def test_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
         assert a.tobytes() == b.tobytes()
 
 
+@pytest.mark.parametrize("count", [1, 256, 257, 600])
+def test_tiles_among_many_obstacles_are_equal_in_both_lanes(count):
+    draw = np.random.default_rng(count)
+    low, turned = draw.uniform(-1.0, 1.0, (2, count, 2))
+    shape = 0.05 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.5]])
+    boxes = ObstacleSet.from_rectangles(low[::2], low[::2] + 0.02, "boxes")
+    # Overlapping walls: points inside both have the distance to the boundary that is farther away.
+    boxes += ObstacleSet.from_rectangles(
+        np.array([[-1.4, 0.2], [-1.4, -0.7]]), np.array([[-0.3, 1.6], [0.1, 1.5]]), "walls"
+    )
+    some = boxes + ObstacleSet.from_polygons([shape + at for at in turned[1::2]]) if count > 1 else boxes
+    field = DistanceField(some, np.array([0.1, 0.2, 3.0]), 0.03, 0.9, lambda: None)
+    twin, native = both_lanes(lambda: distance_field._tile_values(field, np.arange(field.tiles**2)))
+    assert twin.tobytes() == native.tobytes()
+    assert twin.min() < field.reach
+
+
 def test_a_poll_that_raises_leaves_the_missing_tiles_missing():
     class Stopped(Exception):
         pass
