@@ -169,6 +169,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     final_straight: float = 0.0,
     steers: bool = True,
     speed: float = 0.0,
+    least: float = 0.0,
     pushes: Sequence[Push] = (),
 ) -> Path | None:
     """Return a path near `path` from `start` to `goal` in the same gears, or None if no such path is within the bounds.
@@ -185,12 +186,14 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
             limited.
         speed: Speed at the start, >= 0 [m/s]. While the robot brakes from this speed, the limits of yaw acceleration
             and steering rate bound the curvature rate.
+        least: Least length of the first segment, in which the robot stops if more segments follow [m].
         pushes: Required distances from obstacles.
     """
     gears = _Gears.of(path, final_straight)
     if gears is None:
         return None
     program, begin = _Program(gears, limits, speed, len(pushes), steers=steers), start.as_array()
+    program.least = least
     for _ in range(_STEPS):
         if program.has_vanished(gears):
             return None
@@ -378,7 +381,7 @@ class _Program:
 
     def __init__(self, gears: _Gears, limits: MotionLimits, speed: float, pushes: int, *, steers: bool) -> None:
         sharpest = float(np.abs(gears.curvature).max(initial=0.0))
-        self.most = limits.max_curvature * _USED
+        self.least, self.most = 0.0, limits.max_curvature * _USED
         self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
         rate = limits.max_curvature_rate
         self.rate_scale = rate if math.isfinite(rate) else self.scale / _USUAL_SWING
@@ -412,6 +415,11 @@ class _Program:
         left = self.left
         return (gears.curvature[left + 1] - gears.curvature[left]) / (gears.knots[left + 1] - gears.knots[left])
 
+    def _shortest(self, gears: _Gears) -> float:
+        """Return the bound of the change of the first gear's length, at most 0."""
+        length, tail = float(gears.knots[gears.first[1] - 1]), float(gears.tails[0])
+        return math.log(min(max(self.least - tail, _SHORTEST_PIECE) / length, 1.0))
+
     def has_vanished(self, gears: _Gears) -> bool:
         """Whether a turn in place is too small."""
         return bool(np.any(np.abs(gears.turns[self.is_turn]) < _LEAST_TURN))
@@ -428,6 +436,8 @@ class _Program:
         rates, left, curvature = self._rates(gears), self.left, gears.curvature
         (lower, upper), rows, at = self.bounds, self.rows, np.arange(3, self.pushed)
         room = min(self.most, UNBOUNDED)
+        if self.least > 0.0 and gears.signs[0] != 0.0:
+            lower[self.lengths[0]] = self._shortest(gears)
         lower[self.bends], upper[self.bends] = -room - curvature, room - curvature
         for knot, value in self.fixed.items():
             lower[self.bends[knot]] = upper[self.bends[knot]] = value - curvature[knot]

@@ -31,7 +31,7 @@ from optdock.errors import (
     SmootherTimedOut,
     TimedOut,
 )
-from optdock.geometry.checked import instance, number
+from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
@@ -102,10 +102,10 @@ _EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
 # it is only tried if it may take the least time [s].
 _DISC_PROOF, _DISC_LEAST = 0.25, 0.004
 _STRAIGHT_PROOF = 0.001  # [s], time for the proof that the final straight is blocked
-# A guess is tried only if its least price is below this share of the best plan's price; on easy scenes a plan costs
-# 0.2 % more than the least price of its path. In 352 cases, compared with a longer search: with 0.95, 25 plans cost
-# over 0.5 % more and 2 cost less; with 0.98, 2 plans cost more and 9 less, in a tenth more time. 0.97 lies between.
-_WORTH_A_TRY = 0.97
+# A guess is tried only if its least price is lower than the best plan's price by this share; on easy scenes a plan
+# costs 0.2 % more than the least price of its path. In 352 cases, compared with a longer search: with 0.05, 25 plans
+# cost over 0.5 % more and 2 less; with 0.02, 2 plans cost more and 9 less, in a tenth more time. 0.03 lies between.
+_LEAST_GAIN = 0.03
 # Share of the budget below which a collision-free guess that was interrupted is continued before others.
 _GOING_ON = 0.5
 # Most tries with a gear of the best plan left out, and most failures in a row: in 36 parking slots, 22 of 23 tries that
@@ -132,6 +132,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     guesses: Iterable[Path] = (),
     warm_start: DockPlan | Path | None = None,
     cancel_checker: Callable[[], bool] = never_cancelled,
+    least_gain: float = _LEAST_GAIN,
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
 
@@ -151,14 +152,16 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         guesses: Raw paths from any source, such as another planner or a recorded drive, which are tried first.
         warm_start: An earlier plan, or its path, for a similar problem, as warm start of the smoother.
         cancel_checker: Polled at least every 5 ms by the long stages; its exceptions are passed on.
+        least_gain: After the first certified plan, planners are only asked for guesses that may reduce the price by
+            this share, from 0 to 1.
 
     Returns:
         The certified plan with the lowest price found (see `DockPlan.price`); `tried` lists every guess with its
         result.
 
     Raises:
-        InvalidValue: If the budget is not a finite number > 0, an argument has the wrong class, or a parameter of a
-            plugin is wrong.
+        InvalidValue: If the budget is not a finite number > 0, `least_gain` is not finite, an argument has
+            the wrong class, or a parameter of a plugin is wrong.
         InvalidPath: If a guess is not in the frame of the problem.
         StartOccupied: If the robot overlaps an obstacle at the start.
         GoalOccupied: If the clearance at the goal is less than required.
@@ -187,7 +190,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         warm_start = warm_start.path
     if warm_start is not None:
         instance(Path, warm_start, "warm_start")
-    given = _paths(guesses, problem.frame)
+    given, least_gain = _paths(guesses, problem.frame), min(max(finite_number(least_gain, "least_gain"), 0.0), 1.0)
     if not callable(cancel_checker):
         raise InvalidValue(f"cancel_checker: must be a function that returns whether to stop, got {cancel_checker!r}")
     so_far, warmed = PartialPlan(), _warm_once.cache_info().misses
@@ -201,7 +204,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         work = Refinement(problem, smoothing, parameterizing, warm_start, *limits, so_far.timing_ms)
         try:
             with garbage_collection_paused():
-                plan = _Portfolio(work, planners, given, so_far).plan()
+                plan = _Portfolio(work, planners, given, so_far, least_gain).plan()
         finally:
             _WAITS.append(work.longest_wait)
         if logger.isEnabledFor(logging.INFO):
@@ -332,6 +335,7 @@ class _Portfolio:
     planners: tuple[GlobalPlanner, ...]
     given: tuple[Path, ...]
     so_far: PartialPlan
+    least_gain: float = _LEAST_GAIN
     best: DockPlan | None = None
     last_resort: DockPlan | None = None  # along an unsmoothed guess, with a stop at every bend
     tried: list[Attempt] = field(default_factory=list)
@@ -480,7 +484,7 @@ class _Portfolio:
         return found
 
     def _worth_a_try(self) -> float:
-        return _WORTH_A_TRY * self.best.price if self.best is not None else math.inf
+        return (1.0 - self.least_gain) * self.best.price if self.best is not None else math.inf
 
     def _must_go_on(self) -> bool:
         """Whether to continue an interrupted guess without collisions before trying other guesses."""

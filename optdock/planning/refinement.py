@@ -194,7 +194,7 @@ class Refinement:
         return replace(plan, completed=result.completed, smoothing_report=report)
 
     def deformed(
-        self, path: Path, most_pushes: int, *, steers: bool = True, speed: float = 0.0
+        self, path: Path, most_pushes: int, *, steers: bool = True, speed: float = 0.0, least: float = 0.0
     ) -> tuple[Path, Certificate | None]:
         """Deform the rest of a path to the start of the problem, and push it off obstacles that are too close.
 
@@ -203,6 +203,7 @@ class Refinement:
             most_pushes: Largest number of pushes, of two milliseconds each.
             steers: As in `deformation.deformed`.
             speed: As in `deformation.deformed` [m/s].
+            least: As in `deformation.deformed` [m].
 
         Returns:
             The last deformed path with its certificate; `path` itself and None if it cannot be deformed.
@@ -222,6 +223,7 @@ class Refinement:
                     final_straight=problem.dock.final_straight,
                     steers=steers,
                     speed=speed,
+                    least=least,
                     pushes=pushes,
                 )
             if moved is None or self.asked_to_stop():

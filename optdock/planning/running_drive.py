@@ -16,7 +16,7 @@ from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.model.trajectory import Trajectory
-from optdock.timing.jerk_phases import DriveBounds, MotionState
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.start_states import full_stop
 from optdock.verification import TOLERANCE, WayVerdict, certify_trajectory, pose_clearance, prove_way, unchanged_way
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["NO_WAY", "BranchPoint", "DriveState", "RunningDrive", "braking"]
 
 _AT_REST = 1e-6  # [m/s], [m/s^2]: as in the certificate
+_BRAKING_ROOM = 1.05  # the time law needs a little more than the shortest braking distance
 _REST_SOON = 0.1  # [s]: a rest that follows the joint within this time becomes the joint
 NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 
@@ -83,6 +84,14 @@ class BranchPoint:
     def rests(self) -> bool:
         """Whether the robot is at rest at this point."""
         return self.speed == 0.0 and self.acceleration == 0.0
+
+    def braking_distance(self, limits: MotionLimits) -> float:
+        """Return the distance of full braking with a margin [m], 0 during a turn in place."""
+        if self.gear == 0 or self.rests:
+            return 0.0
+        bounds = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
+        start = MotionState(0.0, abs(self.speed), self.acceleration * self.gear)
+        return _BRAKING_ROOM * Motion.of(start, full_stop(start, bounds)).end.s
 
 
 class RunningDrive:

@@ -131,6 +131,17 @@ def test_at_speed_the_curvature_begins_to_change_as_fast_as_the_robot_can_turn()
     assert free.end.gap_to(goal) <= 1e-6
 
 
+def test_first_gear_keeps_the_room_for_braking():
+    path = two_gears()
+    goal = path.end @ Pose2(-0.1, 0.0, 0.0)
+    free = deformed(path, path.start, goal, LIMITS, final_straight=STRAIGHT)
+    kept = deformed(path, path.start, goal, LIMITS, final_straight=STRAIGHT, least=2.28)
+    assert free.segments[0].length < 2.28 - 1e-3
+    assert kept.segments[0].length >= 2.28 - 1e-9
+    assert kept.end.gap_to(goal) <= 1e-6
+    assert_within(kept)
+
+
 def test_none_if_the_bounds_allow_no_path():
     path = Path((s_curve(),)).piece(1.4)
     assert deformed(path, path.start, path.end @ Pose2(0.0, 0.3, 0.0), LIMITS, final_straight=STRAIGHT) is None

@@ -137,6 +137,19 @@ def wall(x0, y0, x1, y1):
     return ObstacleSet.from_polygons([[[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
 
 
+def test_search_ends_if_the_gain_is_too_small(plain):
+    start, ahead = plain.problem.start, plain.path.segments
+    behind = start @ Pose2(-0.5, 0.0, 0.0)
+    detour = [Path.from_poses(poses).segments[0] for poses in ([start, behind], [behind, start])]
+    given = [Path((*detour, *ahead), plain.path.frame)]
+    plans = [plan_dock(problem(), time_budget=BUDGET, guesses=given, least_gain=gain) for gain in (0.03, 0.9)]
+    further = [[attempt.stage for attempt in plan.tried if attempt.stage == "fewer cusps"] for plan in plans]
+    assert [bool(one) for one in further] == [True, False]
+    assert plans[0].price < (1.0 - 0.1) * plans[1].tried[0].price
+    with pytest.raises(InvalidValue, match="least_gain: must be finite"):
+        plan_dock(problem(), least_gain=math.nan)
+
+
 @pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf, 10**400])
 def test_budget_is_a_positive_number(budget):
     with pytest.raises(InvalidValue, match="time_budget: must be finite"):

@@ -24,6 +24,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan
+from optdock.planning.running_drive import RunningDrive, braking
 from optdock.verification import certify_motion, certify_path, certify_trajectory
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.2, max_yaw_acceleration=2.0)
@@ -235,12 +236,31 @@ def test_plan_is_kept_on_the_final_straight_within_the_tolerances():
     assert gone.outcome is not ReplanOutcome.KEPT
 
 
+def test_plan_within_the_tolerances_is_kept_before_its_path_is_smoothed():
+    plan = running()
+    s = plan.path.length - plan.problem.dock.final_straight - 0.01  # too short to be deformed
+    time = float(np.interp(s, plan.trajectory.time_law.states[:, 0], plan.trajectory.time_law.times))
+    kept = replan(plan, moved(plan, 0.002, 0.003, 0.005), DriveState(time), BUDGET, lead=0.0)
+    assert kept.outcome is ReplanOutcome.KEPT
+    assert "deformed" in kept.reason
+    assert kept.tried == ()
+
+
 def test_plan_beyond_new_limits_is_not_kept():
     plan = running()
     slower = dataclasses.replace(LIMITS, max_speed=0.1)
     world = dataclasses.replace(plan.problem, robot=Robot(OUTLINE, slower))
     assert replan(plan, plan.problem, DriveState(3.0), 1e-9, lead=LEAD).outcome is ReplanOutcome.KEPT
     assert replan(plan, world, DriveState(3.0), 1e-9, lead=LEAD).outcome is ReplanOutcome.STOP
+
+
+def test_braking_distance_is_that_of_the_shortest_stop():
+    drive = RunningDrive(running(), running().problem, DriveState(2.0))
+    for lead in (0.0, 0.5, 1.0):
+        joint = drive.branch_point(lead)
+        stop, _ = braking(joint, LIMITS, "")
+        assert joint.braking_distance(LIMITS) == pytest.approx(1.05 * stop.path.length, rel=1e-6)
+    assert drive.branch_point(1e3).braking_distance(LIMITS) == 0.0
 
 
 @functools.cache
