@@ -36,6 +36,8 @@ from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still
 from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import DrivenMotion as OracleMotion
     from experiments.fuzz.oracle.motion import Floats
@@ -382,8 +384,20 @@ def _wheels_jump(this: _Now, found: _Answer, *, moving: bool) -> str:
     wheels = gears[0] * bent[0], gears[1] * bent[1]
     is_steered = math.isfinite(this.world["limits"].get("max_steering_rate", math.inf))
     turning = abs(wheels[0] - wheels[1]) > 1e-6 * (1.0 + abs(wheels[0])) or this.steers_at(found.starts_at)
-    text = f"wheels turned for {wheels[0]:.6g} 1/m or still turning, the path begins with {wheels[1]:.6g} 1/m"
-    return text if is_steered and turning else ""
+    if not is_steered or not turning or (not moving and _waits_for_any_angle(this.world["limits"], found, wheels[1])):
+        return ""
+    return f"wheels turned for {wheels[0]:.6g} 1/m or still turning, the path begins with {wheels[1]:.6g} 1/m"
+
+
+def _waits_for_any_angle(limits: Mapping[str, float], found: _Answer, curvature: float) -> bool:
+    """Whether the new motion begins with a rest in which the wheels reach a curvature [1/m] from any angle."""
+    law, wheelbase = found.trajectory.time_law, limits["wheelbase"]
+    resting = np.all(law.states == law.states[0], axis=1)
+    rest = float(law.times[len(resting) if resting.all() else int(resting.argmin()) - 1] - law.times[0])
+    widest = limits.get("max_steering_angle", math.inf)
+    if not math.isfinite(widest):
+        widest = math.atan(wheelbase * limits.get("max_curvature", math.inf))
+    return rest * limits["max_steering_rate"] >= widest + math.atan(wheelbase * abs(curvature)) - 1e-6
 
 
 def _timed(this: _Now, found: _Answer, start: Case, zone: list[object]) -> Case:
