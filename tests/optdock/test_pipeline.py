@@ -455,7 +455,7 @@ def test_warming_up_warms_the_smoother_itself(monkeypatch):
 
 
 def test_plugins_of_others_are_warmed_up_whatever_they_do():
-    """They plan a small problem and their own warm-up is called; what they raise shows in the first real call."""
+    """They plan small problems and their own warm-up is called; what they raise shows in the first real call."""
     called = []
 
     class Noting(DockPlanner):
@@ -477,7 +477,8 @@ def test_plugins_of_others_are_warmed_up_whatever_they_do():
             raise ZeroDivisionError
 
     _warm_once.__wrapped__((Demanding, Noting), Failing, Broken)
-    assert called == ["planner", "smoother", "warm-up"]
+    assert called[:2] == ["planner", "smoother"]
+    assert called.index("warm-up") == len(called) - 1
 
 
 class Patience:

@@ -201,7 +201,8 @@ def drawn_tiles(grid, rng):
 
 
 @pytest.mark.parametrize("steps", [1, 2, 5, 100])
-def test_a_graph_is_the_same_after_interruptions_between_its_steps(steps):
+def test_a_graph_is_the_same_after_interruptions_between_its_steps(steps, monkeypatch):
+    monkeypatch.setattr(connectivity_graph, "_AT_ONCE", 1)
     grid = connectivity_graph.CellGrid(np.zeros(2), 0.1, 2, 1)
     ends = [np.array([0.3, 0.2, 0.1]), np.array([2.0, 1.9, 0.4])]
     tiles, left = drawn_tiles(grid, rng_of("graph", 1, steps)), 0
