@@ -267,8 +267,8 @@ def _warm_once(
     dock = Dock(Pose2(0.0, 0.0, 0.0), Footprint.rectangle(0.6, -0.4, 0.5))
     problem = DockingProblem(Pose2(-2.0, 0.1, 0.1), dock, Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits))
     clock, never = Deadline(_WARM_UP), Cancellation(never_cancelled)
-    # With a short wall, planners need routes around obstacles. The first calls of kernels are compared with their twins,
-    # which fill caches, so that the counted time of a first real call would depend on them.
+    # With a short wall, planners need routes around obstacles. The first call of a kernel is compared with its twin,
+    # which fills caches, so that the counted time of a first real call would depend on it.
     walls = ([[-1.2, -y], [-1.0, -y], [-1.0, y], [-1.2, y]] for y in (1.0, 3.0))
     short, long = (ObstacleSet.from_polygons([wall]) for wall in walls)
     plans = [(planner, problem, _WARM_UP) for planner in planners]
