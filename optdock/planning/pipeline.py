@@ -272,7 +272,7 @@ def _warm_once(
     walls = ([[-1.2, -y], [-1.0, -y], [-1.0, y], [-1.2, y]] for y in (1.0, 3.0))
     short, long = (ObstacleSet.from_polygons([wall]) for wall in walls)
     plans = [(planner, problem, _WARM_UP) for planner in planners]
-    plans.append((planners[-1], replace(problem, obstacles=short), _WARM_UP_SEARCH))
+    plans += [(planner, replace(problem, obstacles=short), _WARM_UP_SEARCH) for planner in planners[-1:]]
     for planner, given, budget in plans:
         with contextlib.suppress(Exception):  # also of constructors that need parameters; real calls report errors
             work = Refinement(given, smoother(), timing(), None, never, budget, Deadline(budget), {})
