@@ -196,7 +196,8 @@ _evaluated = twin_of(_evaluate_natively)(_evaluated_by_numpy)
 def _reached(settings: LoopSettings, error: FloatArray, shortfall: float) -> tuple[bool, bool]:
     """Return whether a path with this error and shortfall ends at the target, and whether it is feasible."""
     x, y, yaw = error.tolist()
-    on_goal = max(abs(x), abs(y), abs(yaw)) <= settings.goal_tolerance
+    most = settings.goal_tolerance
+    on_goal = abs(x) <= most and abs(y) <= most and abs(yaw) <= most  # not so if one is NaN
     return on_goal, on_goal and shortfall <= settings.clearance_tolerance
 
 
