@@ -20,7 +20,7 @@ import functools
 import logging
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeAlias, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
@@ -240,7 +240,7 @@ def twin_of(
 
     Args:
         native: The function in C.
-        copied: Returns the arguments for the twin, where `native` changes its own; None if it changes none.
+        copied: Returns the positional arguments for the twin, where `native` changes its own; None if it changes none.
     """
 
     def decorate(twin: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -253,11 +253,11 @@ def twin_of(
                 return twin(*args, **kwargs)
             if lane == "native" and name in _OfProcess.tested:
                 return native(*args, **kwargs)
-            given = args if copied is None else copied(*args, **kwargs)
+            given: Any = args if copied is None else copied(*args)
             other = native(*args, **kwargs)
             # The twin is not run in later calls. It comes second, because it may fill caches that the kernel uses too.
             with uncounted():
-                found = twin(*given, **(kwargs if copied is None else {}))  # type: ignore[arg-type]
+                found = twin(*given, **kwargs)
             _judge(name, lane, _difference(found, other))
             return found if lane == "audit" or name in _OfProcess.replaced else other  # as in later calls
 

@@ -116,7 +116,7 @@ class Grid(NamedTuple):
     turning: tuple[FloatArray, ...]  # turning limits for the reference at the knots, Shape (M + 1,) each
     centre_curvature: FloatArray  # at the cell centres, Shape (M,) [1/m]
     centre_rate: FloatArray  # as `rate`, at the cell centres, Shape (2, M) [1/m^2]
-    zone: int  # index of the knot at the zone start; 0 if there is none inside
+    zone: int  # index of the knot at the zone start; 0 if the zone does not start between the end knots
     time: FloatArray  # pseudo time of the knots, Shape (M + 1,) [s]
 
 
@@ -232,7 +232,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 
 def zone_knot(limits: PathLimits, knots: FloatArray) -> int:
-    """Return the index of the knot at the zone start, or 0 if there is none inside."""
+    """Return the index of the knot at the zone start, or 0 if the zone does not start between the end knots."""
     zone = int(knots.searchsorted(limits.zone_start - 1e-12)) if limits.has_zone else 0
     return 0 if zone >= knots.size - 1 else zone
 
