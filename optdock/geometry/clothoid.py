@@ -12,21 +12,24 @@ from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly, vector
 from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.pose import Pose2, check_range
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["ClothoidSpline", "subdivided"]
+__all__ = ["QUADRATURE", "ClothoidSpline", "subdivided"]
 
 # Five Gauss points integrate cos(theta) over a cell that turns by at most 0.5 rad with an error below 1e-15 of its
 # length on an arc: error <= length * turn^10 * (5!)^4 / (11 * (10!)^3), [Abramowitz1964] eq. 25.4.30. If the curvature
 # changes sign within the cell, the tenth derivative is larger, but the error stays below 1e-9 of the length.
-_NODES, _WEIGHTS = map(readonly, np.polynomial.legendre.leggauss(5))
-_PLACES = readonly(1.0 + _NODES)  # in halves of a cell
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+QUADRATURE = readonly(np.array((1.0 + _POINTS, _WEIGHTS)))  # points from the begin of a cell, in halves of it; weights
+del _POINTS, _WEIGHTS
 _MAX_TURN_PER_CELL = 0.5
 _MAX_CELLS = 100_000
+_SPARE = 8  # rows for the table of a spline with cells that are divided; with more of them it is computed twice
 
 
 def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
@@ -64,6 +67,10 @@ class ClothoidSpline(FrozenArrays):
         curvature: Shape (n,) [1/m], curvature at the knots.
         sign: +1 forward, -1 reverse.
 
+    Attributes:
+        table: Breaks between which the curve turns by at most 0.5 rad: arc length, x, y, yaw, curvature, and curvature
+            rate behind. Shape (cells + 1, 6).
+
     Raises:
         InvalidValue: If shapes differ, knots do not increase from 0, a value is not finite, sign is not +-1, a pose
             exceeds 1e8 m or 1e6 rad, or a turn is shorter than the resolution of floats.
@@ -73,8 +80,7 @@ class ClothoidSpline(FrozenArrays):
     knots: FloatArray
     curvature: FloatArray
     sign: int = 1
-    _breaks: FloatArray = field(init=False, repr=False)
-    _break_states: FloatArray = field(init=False, repr=False)  # (cells + 1, 4): x, y, yaw, curvature
+    table: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         knots = frozen_array(self.knots, "clothoid.knots")
@@ -87,32 +93,11 @@ class ClothoidSpline(FrozenArrays):
         if sign not in (1.0, -1.0):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
         exactly(Pose2, self.start, "clothoid.start")
-        breaks = _refined_breaks(knots, curvature)
-        if breaks is not knots and not (breaks[1:] > breaks[:-1]).all():
+        table = _table_chosen(self.start, knots, curvature, int(sign))
+        if not (table[1:, 0] > table[:-1, 0]).all() or not np.isfinite(table).all():
             raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
-        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), _breaks=readonly(breaks))
-        with np.errstate(over="ignore", invalid="ignore"):
-            states = self._integrate_breaks()
-        if not np.isfinite(states).all():
-            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
-        check_range(states, "clothoid")
-        vars(self).update(_break_states=readonly(states))
-
-    def _integrate_breaks(self) -> FloatArray:
-        breaks, states = self._breaks, np.zeros((self._breaks.size, 4))
-        is_refined = breaks.size > self.knots.size
-        kappa = np.interp(breaks, self.knots, self.curvature) if is_refined else self.curvature
-        steps, before = breaks[1:] - breaks[:-1], kappa[:-1]
-        x, y, yaw, _ = states.T
-        (0.5 * steps * (before + kappa[1:])).cumsum(out=yaw[1:])
-        yaw += self.start.yaw
-        along, across = _displacements(steps, yaw[:-1], before, (kappa[1:] - before) / steps)
-        (self.sign * along).cumsum(out=x[1:])
-        (self.sign * across).cumsum(out=y[1:])
-        x += self.start.x
-        y += self.start.y
-        states[:, 3] = kappa
-        return states
+        check_range(table[:, 1:], "clothoid")
+        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), table=readonly(table))
 
     def __repr__(self) -> str:
         gear = "forward" if self.sign > 0 else "reverse"
@@ -125,20 +110,7 @@ class ClothoidSpline(FrozenArrays):
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Return the poses at arc lengths `s`, Shape (n,) [m], clipped to the curve. Shape (n, 3)."""
-        points = np.minimum(np.maximum(vector(s), 0.0), self.length)
-        cell = self._breaks[1:-1].searchsorted(points, side="right")
-        base, step = self._break_states[cell], points - self._breaks[cell]
-        rate, poses = self._cell_rates[cell], np.empty((points.size, 3))
-        x, y = _displacements(step, base[:, 2], base[:, 3], rate)
-        poses[:, 0] = base[:, 0] + self.sign * x
-        poses[:, 1] = base[:, 1] + self.sign * y
-        poses[:, 2] = base[:, 2] + step * (base[:, 3] + 0.5 * step * rate)
-        return poses
-
-    @functools.cached_property
-    def _cell_rates(self) -> FloatArray:
-        kappa, breaks = self._break_states[:, 3], self._breaks
-        return readonly((kappa[1:] - kappa[:-1]) / (breaks[1:] - breaks[:-1]))
+        return _poses_chosen(vector(s), self.table, self.sign)
 
     @functools.cached_property
     def curvature_rates(self) -> FloatArray:
@@ -166,14 +138,87 @@ class ClothoidSpline(FrozenArrays):
     @functools.cached_property
     def end(self) -> Pose2:
         """Pose at s = length."""
-        return Pose2.from_sequence(self._break_states[-1, :3])
+        return Pose2.from_sequence(self.table[-1, 1:4])
 
 
-def _displacements(
-    step: FloatArray, yaw: FloatArray, curvature: FloatArray, rate: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the integrals of the cosine and the sine of the quadratic heading over each step, Shape (n,) [m] each."""
+_TABLE = Kernel("optdock_clothoid_table", sizes=3, numbers=5)
+_POSES = Kernel("optdock_clothoid_poses", sizes=2, numbers=1)
+
+
+def _table_native(start: Pose2, knots: FloatArray, curvature: FloatArray, sign: int) -> FloatArray:
+    n, room = knots.size, knots.size + _SPARE
+    numbers = start.x, start.y, start.yaw, float(sign), _MAX_TURN_PER_CELL
+    while True:
+        table = np.empty((room, 6))
+        arrays = (knots, n), (curvature, n), (QUADRATURE, QUADRATURE.size), (table, 6 * room)
+        found = _TABLE((n, room, _MAX_CELLS), numbers, arrays)
+        if found < 0:
+            return _table_numpy(start, knots, curvature, sign)  # raises the error
+        if found <= room:
+            return table[:found]
+        room = found
+
+
+@twin_of(_table_native)
+def _table_chosen(start: Pose2, knots: FloatArray, curvature: FloatArray, sign: int) -> FloatArray:
+    return _table_numpy(start, knots, curvature, sign)
+
+
+def _table_numpy(start: Pose2, knots: FloatArray, curvature: FloatArray, sign: int) -> FloatArray:
+    """Return s, x, y, yaw, curvature at the breaks and the curvature rate behind. Shape (cells + 1, 6)."""
+    breaks = _refined_breaks(knots, curvature)
+    table = np.zeros((breaks.size, 6))
+    s, x, y, yaw, kappa, rate = table.T
+    s[:] = breaks
+    kappa[:] = np.interp(breaks, knots, curvature)
+    steps = breaks[1:] - breaks[:-1]
+    with np.errstate(all="ignore"):  # what cannot be represented is rejected by the caller
+        rate[:-1] = (kappa[1:] - kappa[:-1]) / steps
+        (0.5 * steps * (kappa[:-1] + kappa[1:])).cumsum(out=yaw[1:])
+        yaw += start.yaw
+        along, across = _displacements(steps, table[:-1])
+        (sign * along).cumsum(out=x[1:])
+        (sign * across).cumsum(out=y[1:])
+    x += start.x
+    y += start.y
+    return table
+
+
+def _poses_native(s: FloatArray, table: FloatArray, sign: int) -> FloatArray:
+    poses = np.empty((s.size, 3))
+    arrays = (
+        (np.ascontiguousarray(s), s.size),
+        (table, table.size),
+        (QUADRATURE, QUADRATURE.size),
+        (poses, poses.size),
+    )
+    _POSES((s.size, len(table)), (float(sign),), arrays)
+    return poses
+
+
+@twin_of(_poses_native)
+def _poses_chosen(s: FloatArray, table: FloatArray, sign: int) -> FloatArray:
+    """Return the poses at arc lengths, clipped to the spline."""
+    points, poses = np.minimum(np.maximum(s, 0.0), table[-1, 0]), np.empty((s.size, 3))
+    base = table[table[1:-1, 0].searchsorted(points, side="right")]
+    step = points - base[:, 0]
+    along, across = _displacements(step, base)
+    poses[:, 0] = base[:, 1] + sign * along
+    poses[:, 1] = base[:, 2] + sign * across
+    poses[:, 2] = base[:, 3] + step * (base[:, 4] + 0.5 * step * base[:, 5])
+    return poses
+
+
+def _displacements(step: FloatArray, base: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals of the cosine and the sine of the quadratic heading over each step, Shape (n,) [m] each.
+
+    `base`: rows of the table where the steps begin, Shape (n, 6).
+    """
+    places, weights = QUADRATURE[:, :, None]
     half = 0.5 * step
-    u = half[:, None] * _PLACES
-    theta = yaw[:, None] + u * (curvature[:, None] + 0.5 * u * rate[:, None])
-    return half * (np.cos(theta) @ _WEIGHTS), half * (np.sin(theta) @ _WEIGHTS)
+    u = half * places
+    theta = base[:, 3] + u * (base[:, 4] + 0.5 * u * base[:, 5])
+    # The sum over the first axis is evaluated in its order, as in C.
+    along: FloatArray = half * np.add.reduce(weights * np.cos(theta), axis=0)
+    across: FloatArray = half * np.add.reduce(weights * np.sin(theta), axis=0)
+    return along, across

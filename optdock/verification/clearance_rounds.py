@@ -179,7 +179,7 @@ def _round_native(
         (turned, 2 * k),
         (nodes.s, k),
         (pieces.kinds, pieces.kinds.size),
-        (pieces.numbers, pieces.numbers.size),
+        (pieces.table, pieces.table.size),
         (rule, 12),
         (robot.sizes, 2 * bodies),
         (robot.numbers, robot.numbers.size),
@@ -198,7 +198,7 @@ def _round_native(
         (np.empty(size := 22 * n + 2 * k + m + 2 * (robot.corners + q + robot.circles)), size),
         (np.empty(size := 6 * n + m + 2 * k + 1, dtype=np.int64), size),
     )
-    sizes = n, k, m, bodies, q, robot.corners, robot.circles, pieces.kinds.shape[0], pieces.numbers.shape[1]
+    sizes = n, k, m, bodies, q, robot.corners, robot.circles, len(pieces.kinds), len(pieces.table)
     if _KERNEL(sizes, (attained, TOLERANCE, SHARPNESS), arrays) < 0:
         raise IndexError("cells: must be rows of ends and segments of the path")
     bad = _NONE

@@ -17,11 +17,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.verification.clearance_kernel import compiled_clearances
+from optdock.geometry.arrays import readonly
+from optdock.geometry.clothoid import QUADRATURE
+from optdock.geometry.separation import skips_edges
+from optdock.kernels import Kernel, kernels_lane, twin_of
+from optdock.verification.certificate import SHARPNESS, TOLERANCE
+from optdock.verification.clearance_kernel import compiled_clearances, packed_footprint
 from optdock.verification.clearance_rounds import Near, Rule, World, clearance_round, from_both_ends
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
 from optdock.verification.motion_bounds import Cells, PathMotion, divided, first_cells
-from optdock.verification.proximity import bounded, pose_clearances
+from optdock.verification.proximity import bounded, end_clearances, pose_clearances
 from optdock.verification.stretch_bounds import advance_bounds
 
 if TYPE_CHECKING:
@@ -30,6 +35,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
+    from optdock.model.clearance_rule import ClearanceRule
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from optdock.verification.clearance_rounds import Round
@@ -42,9 +48,12 @@ _BLOCK = 4000  # cells evaluated at once, some milliseconds; the deadline is pol
 _MAX_STEP = 0.08  # [m], length of first cells
 _MOST_FIRST = 100_000  # first cells; they are longer on paths beyond 8 km
 _MAX_LEVELS = 24  # of bisection
+_NO_VIOLATION, _NOTHING_OPEN = readonly(np.zeros((0, 7))), readonly(np.zeros((0, 2)))
 _CHEAP = 48  # cells: smaller rounds take almost the same time, so a few open cells are divided into more parts
 _MAX_POSES = 60_000  # added by refinement
 _WORTHWHILE = 0.7  # fraction of near obstacles above which cropping takes longer than it saves
+_MOST_QUICK = 2000  # cells of a round of a proof that does not poll the deadline
+_MOST_PAIRS = 100_000  # of poses, obstacles and bodies in a round of such a proof, about a millisecond
 _CROP = 1.0  # [m]: obstacles farther from the swept area are evaluated only if no other is as near
 
 
@@ -100,24 +109,30 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
         sharp: Whether `proven` must be the smallest clearance up to `SHARPNESS`; otherwise any bound that satisfies the
             rule suffices.
     """
-    footprint = problem.robot.footprint
     obstacles = problem.all_obstacles if obstacles is None else obstacles
     if len(obstacles) == 0:
-        nothing = np.zeros((0, 7))
-        return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
-    attained = at_end = -np.inf
-    if sharp or begun is None:
-        ends = np.array((problem.start.as_array(), path.end.as_array()))
-        clearances, _ = compiled_clearances(ends, footprint, obstacles)
-        attained = at_end = float(clearances[1])
-        if begun is None:
-            begun, attained = Begun(problem.start, float(clearances[0])), float(clearances.min())
-    attained = attained if sharp else -np.inf
-    motion = PathMotion(path)
-    kept = problem.path_clearance
-    rule = Rule(kept, begun.clearance, start_relief)
-    world = World(footprint, obstacles, problem.goal, begun.start, rule)
-    near = _Subdivision(motion, world, attained, _CROP, is_late)
+        required = problem.path_clearance.required
+        return ClearanceProof(np.inf, 0.0, required, -1, np.inf, _NO_VIOLATION, _NOTHING_OPEN, 0)
+    known = np.inf
+    if begun is None:
+        known = _start_clearance(problem, obstacles)
+        begun = Begun(problem.start, known)
+    motion, rule = PathMotion(path), Rule(problem.path_clearance, begun.clearance, start_relief)
+    world = World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule)
+    if kernels_lane() != "twin" and _may_be_quick(motion, world) and not is_late():
+        quick = _quick(motion, world, known, sharp=sharp)
+        if quick is not None:
+            return quick
+    return _by_rounds(motion, world, known, is_late, sharp=sharp)
+
+
+def _by_rounds(
+    motion: PathMotion, world: World, known: float, is_late: Callable[[], bool], *, sharp: bool
+) -> ClearanceProof:
+    """Return the proof of any path; arguments as for `_quick` and `prove_clearance`."""
+    end, obstacles, kept = motion.path.end.as_array()[None], world.obstacles, world.rule.kept
+    at_end = float(compiled_clearances(end, world.footprint, obstacles)[0][0]) if sharp else -np.inf
+    near = _Subdivision(motion, world, min(known, at_end), _CROP, is_late)
     found = near.run() if len(near.near) else None
     if found is not None and (found.proven <= _CROP or len(near.near) == len(obstacles)):
         return found
@@ -127,10 +142,21 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
         sharper = _Subdivision(motion, world, at_end, at_end, is_late).run()
         if sharper.holds or not (found is None or found.holds):
             return sharper
-    far, nothing = _CROP + kept.required, np.zeros((0, 7))
     if found is None:
-        return ClearanceProof(far, 0.0, kept.required, -1, _CROP, nothing, nothing[:, :2], 0)
-    return found._replace(proven=min(found.proven, far), margin=min(found.margin, _CROP))
+        return ClearanceProof(_CROP + kept.required, 0.0, kept.required, -1, _CROP, _NO_VIOLATION, _NOTHING_OPEN, 0)
+    return _of_all(found, kept)
+
+
+def _start_clearance(problem: DockingProblem, obstacles: ObstacleSet) -> float:
+    if obstacles is problem.all_obstacles:
+        return end_clearances(problem).start
+    clearances, _ = compiled_clearances(problem.start.as_array()[None], problem.robot.footprint, obstacles)
+    return float(clearances[0])
+
+
+def _of_all(found: ClearanceProof, rule: ClearanceRule) -> ClearanceProof:
+    """Return a proof among the near obstacles as one among all."""
+    return found._replace(proven=min(found.proven, _CROP + rule.required), margin=min(found.margin, _CROP))
 
 
 class Begun(NamedTuple):
@@ -138,6 +164,110 @@ class Begun(NamedTuple):
 
     start: Pose2
     clearance: float
+
+
+def _halvings(open_cells: int) -> int:
+    """Return how often open cells are bisected before the next round."""
+    return max(1, int(np.log2(_CHEAP / open_cells)))
+
+
+def _reach(world: World, step: float, crop: float) -> float:
+    """Return the distance [m] from the poses beyond which obstacles are ignored."""
+    return world.footprint.circumscribed_radius + step + crop + world.rule.kept.required
+
+
+def _room(motion: PathMotion) -> int:
+    """Return the largest number of cells in a round of a quick proof, more than twice the number of first cells."""
+    pieces = motion.pieces
+    assert pieces is not None
+    return 2 * (int(motion.path.length / _MAX_STEP) + 2 * len(pieces.table)) + 64
+
+
+def _may_be_quick(motion: PathMotion, world: World) -> bool:
+    corners = packed_footprint(world.footprint).corners, world.obstacles.vertices.shape[1]
+    return motion.pieces is not None and _room(motion) <= _MOST_QUICK and not skips_edges(*corners)
+
+
+def _quick(motion: PathMotion, world: World, known: float, *, sharp: bool) -> ClearanceProof | None:
+    """Return the proof of a path that is proven within a millisecond or so, and None for others.
+
+    Args:
+        motion: The path.
+        world: Robot, obstacles and rule.
+        known: Clearance of a pose of the path [m], or inf.
+        sharp: See `prove_clearance`.
+    """
+    first = _quick_chosen(motion, world, known, _CROP, sharp=sharp)
+    if first is None:
+        return None
+    found, evaluated, at_end = first
+    if found.proven <= _CROP or evaluated == len(world.obstacles):
+        return found
+    if not sharp:
+        return _of_all(found, world.rule.kept)
+    sharper = _quick_chosen(motion, world, np.inf, at_end, sharp=sharp)
+    return None if sharper is None else sharper[0]
+
+
+_KERNEL = Kernel("optdock_clearance_proof", sizes=13, numbers=6)
+
+
+def _quick_native(
+    motion: PathMotion, world: World, known: float, crop: float, *, sharp: bool
+) -> tuple[ClearanceProof, int, float] | None:
+    """Return the result of `_quick_chosen`, computed in C; its arrays are described there."""
+    pieces, rocks, robot, room = motion.pieces, world.obstacles, packed_footprint(world.footprint), _room(motion)
+    assert pieces is not None
+    (m, q, _), bodies, segments, breaks = rocks.vertices.shape, len(robot.sizes), len(pieces.kinds), len(pieces.table)
+    pairs = min(_MOST_PAIRS, 2 * room * m * bodies)
+    rule = np.array((*world.rule.numbers, world.goal.x, world.goal.y, world.start.x, world.start.y))
+    found = np.empty(8)
+    arrays = (
+        (pieces.kinds, 2 * segments),
+        (pieces.table, 6 * breaks),
+        (motion.path.segment_starts, segments + 1),
+        (QUADRATURE, QUADRATURE.size),
+        (rule, 12),
+        (robot.sizes, 2 * bodies),
+        (robot.numbers, robot.numbers.size),
+        (rocks.vertices, 2 * m * q),
+        (rocks.normals, 2 * m * q),
+        (rocks.offsets, m * q),
+        (rocks.lower, 2 * m),
+        (rocks.upper, 2 * m),
+        (found, 8),
+        (np.empty(size := 53 * room + pairs + m + 2 * (robot.corners + q + robot.circles) + 1), size),
+        (np.empty(size := 26 * room + 2 * pairs + 2 * m + 3, dtype=np.int64), size),
+    )
+    sizes = segments, breaks, m, bodies, q, robot.corners, robot.circles, room, pairs, _CHEAP, _MAX_LEVELS, _MAX_POSES
+    numbers = _MAX_STEP, known, TOLERANCE, SHARPNESS, _reach(world, _MAX_STEP, crop), _WORTHWHILE
+    outcome = _KERNEL((*sizes, int(sharp)), numbers, arrays)
+    if outcome < 0:
+        raise IndexError("path: must be segments with their breaks")
+    if outcome == 0:
+        return None
+    proven, s, needed, row, margin, poses, evaluated, at_end = found.tolist()
+    proof = ClearanceProof(proven, s, needed, int(row), margin, _NO_VIOLATION, _NOTHING_OPEN, int(poses))
+    return proof, int(evaluated), at_end
+
+
+@twin_of(_quick_native)
+def _quick_chosen(
+    motion: PathMotion, world: World, known: float, crop: float, *, sharp: bool
+) -> tuple[ClearanceProof, int, float] | None:
+    """Return the proof among near obstacles, their number, and the clearance at the end if `sharp`, otherwise inf.
+
+    Return None if a pose violates the rule, a cell or the end is in contact, no obstacle is near, or the kernel has too
+    little memory for the rounds.
+    """
+    run = _Subdivision(motion, world, -np.inf, crop, never_late)
+    at_end = np.inf
+    if sharp:
+        last = run.ends[1].poses[-1:]
+        at_end = float(compiled_clearances(last, world.footprint, world.obstacles)[0][0])
+        run.attained = min(known, at_end)
+    found = run.quick(_room(motion)) if at_end >= 0.0 and len(run.near) else None
+    return None if found is None else (found, len(run.near), at_end)
 
 
 class _Least:
@@ -238,7 +368,7 @@ class _Subdivision:
             is_last = level >= _MAX_LEVELS or self.poses > budget or self.is_late()
             open_cells = tally.add(found, cells, nodes, is_last=is_last)
             if open_cells.size:
-                halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+                halvings = _halvings(open_cells.size)
                 finer = divided(cells, open_cells, 2**halvings)
                 waiting.extend((level + halvings, block) for block in self._blocks(*finer))
         if tally.touched and not tally.violations:
@@ -246,6 +376,27 @@ class _Subdivision:
             for rows, more in zip((tally.violations, tally.given_up), deep, strict=True):
                 rows.append(more)
         return self._summary(tally)
+
+    def quick(self, room: int) -> ClearanceProof | None:
+        """Return the result of `run`, or None as `_quick_chosen`; `room`: largest number of cells of a round."""
+        tally, level, cells, (ends, nodes) = _Tally(), 0, self.cells, self.ends
+        pairs, budget = len(self.near) * len(self.world.footprint.bodies), _MAX_POSES + cells.first.size
+        while nodes.s.size * pairs <= _MOST_PAIRS:
+            self.poses += nodes.s.size
+            block = (cells, ends, nodes)
+            found = clearance_round(self.motion, self.world, self.near, block, self.attained, never_late)
+            self.attained = min(self.attained, found.attained)
+            open_cells = tally.add(found, cells, nodes, is_last=False)
+            if tally.violations or tally.touched:
+                break
+            if open_cells.size == 0:
+                return self._summary(tally)
+            halvings = _halvings(open_cells.size)
+            if level >= _MAX_LEVELS or self.poses > budget or open_cells.size << halvings > room:
+                break
+            cells, ends = divided(cells, open_cells, 2**halvings)
+            nodes, level = self.motion.nodes(ends.segment, ends.u), level + halvings
+        return None
 
     def _first_blocks(self) -> Iterator[tuple[Cells, CellEnds, Nodes]]:
         if self.cells.first.size <= _BLOCK:
@@ -292,7 +443,7 @@ class _Subdivision:
                 given_up = self._unknown(nodes, ends.first[open_cells])
                 given_up[:, 0] = bound[open_cells] - DEPTH
                 return np.zeros((0, 7)), given_up
-            halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+            halvings = _halvings(open_cells.size)
             cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
 
     def _deep_violation(self, nodes: Nodes, at: int, distance: float) -> FloatArray:
@@ -309,7 +460,7 @@ class _Subdivision:
         """Return the obstacles near the swept area."""
         everything = self.world.obstacles
         at = nodes.poses[:, :2]  # the deviation of a cell from its chord is less than its length
-        reach = self.world.footprint.circumscribed_radius + self.step + crop + self.world.rule.kept.required
+        reach = _reach(self.world, self.step, crop)
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         return Near(everything, np.arange(len(everything)) if rows.size > _WORTHWHILE * len(everything) else rows)
 

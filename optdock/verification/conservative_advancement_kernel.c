@@ -6,10 +6,13 @@
  * computed, so the results are equal to the last bit. A NaN is kept by every minimum and maximum and ends as a bound of
  * -inf, which proves nothing.
  *
- * Part of the trusted code of a certificate. It calls no other file. */
+ * Part of the trusted code of a certificate. Of other files it calls that of clothoid splines alone. */
 
 #include <math.h>
 #include <stdint.h>
+
+int64_t optdock_clothoid_poses(int64_t n, int64_t count, double sign, const double *s, const double *table,
+                               const double *quadrature, double *poses);
 
 /* A convex body in its own frame. */
 typedef struct {
@@ -255,11 +258,11 @@ static void keep_least(double candidate, int64_t o, double *bound, int64_t *row)
     }
 }
 
-/* Whether a squared distance certainly exceeds `limit` by more than `reach`; NaN does not. */
-static int is_beyond(double squared, double limit, double reach)
+/* Squared distance above which a distance certainly exceeds `limit` by more than `reach`. */
+static double squared_beyond(double limit, double reach)
 {
     double far = limit + reach;
-    return squared >= 0.0 && (far < 0.0 || squared > far * far);
+    return far < 0.0 ? -1.0 : far * far;
 }
 
 /* The pairs that were evaluated exactly, (pairs,): pose, obstacle and distance [m] of each. */
@@ -330,8 +333,9 @@ static int bounds_of_body(const Body *body, const Stretches *some, const Obstacl
         }
         place_circles(body, at, centres);
         squared_distances(body, centres, all, squared);
+        double beyond = squared_beyond(farthest, reach);
         for (int64_t o = likely = 0; o < m; o++) {
-            is_left[o] = is_beyond(squared[o], farthest, reach);
+            is_left[o] = squared[o] > beyond; /* not if NaN */
             likely = squared[o] < squared[likely] ? o : likely;
             if (is_left[o])
                 continue;
@@ -355,17 +359,17 @@ static int bounds_of_body(const Body *body, const Stretches *some, const Obstacl
                 keep_least(lowest, o, bound + i, row + i);
             }
         }
-        double limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
+        beyond = squared_beyond(limit_at(body, some, first[p], first[p + 1], order, bound, row), reach);
         for (int64_t j = m > 0 ? -1 : 0; j < m; j++) { /* first the one that excludes most of the others */
             int64_t o = j < 0 ? likely : j;
-            if (!is_left[o] || is_beyond(squared[o], limit, reach))
+            if (!is_left[o] || squared[o] > beyond)
                 continue;
             double gap = broad_gap(body, centres, all->lower + 2 * row_of(all, o), all->upper + 2 * row_of(all, o));
             for (int64_t l = first[p]; l < first[p + 1]; l++) {
                 int64_t i = order[l];
                 keep_least(gap - travel(body, stretch_at(some->motions, n, i)), o, bound + i, row + i);
             }
-            limit = limit_at(body, some, first[p], first[p + 1], order, bound, row);
+            beyond = squared_beyond(limit_at(body, some, first[p], first[p + 1], order, bound, row), reach);
         }
     }
     return 1;
@@ -538,31 +542,57 @@ static int64_t number_ends(const Cells *cells, int64_t most_cells, int64_t *whol
     return k;
 }
 
-/* Cells of at most `step` [m] that cover a path, without knots in their interiors; the last is divided into halves.
+/* A break of a segment and the state there, as in clothoid_kernel.c: arc length within the segment [m], pose, curvature
+ * [1/m], and curvature rate up to the next break [1/m^2]. For a turn in place, whose two breaks are its ends, the
+ * curvature is the turn per metre. */
+typedef struct {
+    double s, x, y, yaw, curvature, rate;
+} Break;
+
+/* The pieces of a path: kinds (segments, 2), number of breaks and gear, 0 for a turn in place; and their breaks. */
+typedef struct {
+    int64_t count;
+    const int64_t *kinds;
+    const Break *breaks;
+} Pieces;
+
+/* Whether every segment has at least two breaks, and all together have as many as there are. */
+static int are_pieces(const Pieces *path, int64_t breaks)
+{
+    for (int64_t i = 0; i < path->count; i++) {
+        if (path->kinds[2 * i] < 2)
+            return 0;
+        breaks -= path->kinds[2 * i];
+    }
+    return breaks == 0;
+}
+
+/* Cells of at most `step` [m] that cover a path, without breaks in their interiors; the last is divided into halves.
  *
- *   sizes     segments, knots in all, most cells
- *   counts    (segments,), numbers of knots; knots: (knots,), those of all segments
+ *   sizes     segments, breaks in all, most cells
+ *   kinds, table: see `Pieces`
  *   whole, numbers: out, see `cells_in`; found: out, (2,): numbers of cells and of ends
  *
  * Return 0, or -1 if there are more cells. */
-int64_t optdock_first_cells(int64_t segments, int64_t knot_count, int64_t most_cells, double step,
-                            const int64_t *counts, const double *knots, int64_t *whole, double *numbers,
-                            int64_t *found)
+int64_t optdock_first_cells(int64_t segments, int64_t breaks, int64_t most_cells, double step, const int64_t *kinds,
+                            const double *table, int64_t *whole, double *numbers, int64_t *found)
 {
+    Pieces path = {segments, kinds, (const Break *)table};
     Cells cells = cells_in(0, most_cells, whole, numbers);
-    int64_t at = 0, n = 0;
-    for (int64_t i = 0; i < segments; at += counts[i++]) {
-        if (counts[i] < 2 || at + counts[i] > knot_count)
-            return -1;
-        for (int64_t j = at; j < at + counts[i] - 1; j++) {
-            double width = knots[j + 1] - knots[j], parts = ceil(width / step);
+    const Break *at = path.breaks;
+    int64_t n = 0;
+    if (!are_pieces(&path, breaks))
+        return -1;
+    for (int64_t i = 0; i < segments; i++, at++) {
+        for (int64_t j = 1; j < kinds[2 * i]; j++, at++) {
+            double width = at[1].s - at->s, parts = ceil(width / step);
             parts = parts > 1.0 ? parts : 1.0;
             if (!(parts <= (double)(most_cells - 1 - n)))
                 return -1;
             for (double rank = 0.0; rank < parts; rank += 1.0, n++) {
                 cells.segment[n] = i;
-                cells.first[n] = knots[j] + width * rank / parts;
-                cells.last[n] = rank + 1.0 < parts ? knots[j] + width * (rank + 1.0) / parts : knots[j + 1];
+                cells.first[n] = at->s + width * rank / parts;
+                cells.last[n] = rank + 1.0 < parts ? at->s + width * (rank + 1.0) / parts : at[1].s;
             }
         }
     }
@@ -630,29 +660,21 @@ static double required_at(const Rule *rule, double from_goal, double from_start)
     return least(tapered(rule, from_goal, rule->at_dock), near_start);
 }
 
-/* The pieces of a path: for every segment kinds (2,), the number of knots and the gear, 0 for a turn in place; and the
- * arrays (knots,) of all segments: knots [m], curvature there [1/m], curvature rate behind [1/m^2]. */
-typedef struct {
-    int64_t count;
-    const int64_t *kinds;
-    const double *knots, *curvature, *rates;
-} Pieces;
-
-/* The last knot below a parameter, at least the first; index into the arrays of `Pieces`. */
-static int64_t knot_before(const Pieces *path, int64_t segment, double u)
+/* The last break of a segment below a parameter, at least the first. */
+static const Break *break_before(const Pieces *path, int64_t segment, double u)
 {
-    int64_t low = 0, high;
+    const Break *breaks = path->breaks;
     for (int64_t i = 0; i < segment; i++)
-        low += path->kinds[2 * i];
-    high = low + path->kinds[2 * segment] - 2;
+        breaks += path->kinds[2 * i];
+    int64_t low = 0, high = path->kinds[2 * segment] - 2;
     while (low < high) {
         int64_t middle = (low + high + 1) / 2;
-        if (path->knots[middle] < u)
+        if (breaks[middle].s < u)
             low = middle;
         else
             high = middle - 1;
     }
-    return low;
+    return breaks + low;
 }
 
 /* Motion (C4) over the first half of a cell, from its first pose, and over the last half, backwards from its last. */
@@ -660,14 +682,14 @@ static void halves(const Pieces *path, int64_t segment, double u0, double u1, co
                    const double *last_turned, Stretch *half)
 {
     double sign = (double)path->kinds[2 * segment + 1], width = u1 - u0;
-    int64_t at = knot_before(path, segment, 0.5 * (u0 + u1));
+    const Break *from = break_before(path, segment, 0.5 * (u0 + u1));
     if (sign == 0.0) {
-        double turn = path->curvature[at], size = fabs(turn);
+        double turn = from->curvature, size = fabs(turn);
         half[0] = (Stretch){0.0, 0.0, turn, 0.5 * width, 0.0, size, 0.0, turn * turn};
         half[1] = (Stretch){-0.0, -0.0, -turn, 0.5 * width, 0.0, size, 0.0, turn * turn};
         return;
     }
-    double rate = path->rates[at], begin = path->curvature[at] + rate * (u0 - path->knots[at]);
+    double rate = from->rate, begin = from->curvature + rate * (u0 - from->s);
     double end = begin + rate * width, turn = most(fabs(begin), fabs(end)), twist = fabs(rate) + turn * turn;
     half[0] = (Stretch){sign * first_turned[0], sign * first_turned[1], begin, 0.5 * width, 1.0, turn, turn, twist};
     half[1] = (Stretch){-(sign * last_turned[0]), -(sign * last_turned[1]), -end, 0.5 * width, 1.0, turn, turn, twist};
@@ -695,11 +717,11 @@ static int touches(const int64_t *bad, const double *s, int64_t k, int64_t first
 
 /* One round over n cells with k ends, among m >= 1 obstacles: `_round_numpy` of `clearance_rounds.py`.
  *
- *   sizes      n, k, m, bodies, q, largest number of corners and of circles of a body, segments, knots
+ *   sizes      n, k, m, bodies, q, largest number of corners and of circles of a body, segments, breaks
  *   attained   smallest clearance of a pose so far [m]; tolerance, sharpness [m]
  *   segment    (n,); edges: (2, n), first and last parameters; ends: (2, n), rows of the ends
  *   poses      (k, 3); turned: (k, 2); s: (k,), arc lengths [m]
- *   kinds, pieces: see `Pieces`, (segments, 2) and (3, knots)
+ *   kinds, table: see `Pieces`
  *   rule       (12,), see `Rule`
  *   body_sizes, bodies: see `optdock_clearances`; rows, vertices ... upper: see `Obstacles`
  *   cells      out, (3, n): bound, required clearance [m], arc length of the pose; places: out, (3, n): obstacle,
@@ -712,15 +734,15 @@ static int touches(const int64_t *bad, const double *s, int64_t k, int64_t first
  * Return 0, or -1 if an index is out of range. */
 int64_t optdock_clearance_round(
     int64_t n, int64_t k, int64_t m, int64_t bodies, int64_t q, int64_t corners, int64_t circles, int64_t segments,
-    int64_t knots, double attained, double tolerance, double sharpness, const int64_t *segment, const double *edges,
+    int64_t breaks, double attained, double tolerance, double sharpness, const int64_t *segment, const double *edges,
     const int64_t *ends, const double *poses, const double *turned, const double *s, const int64_t *kinds,
-    const double *pieces, const double *rule_numbers, const int64_t *body_sizes, const double *body_arrays,
+    const double *table, const double *rule_numbers, const int64_t *body_sizes, const double *body_arrays,
     const int64_t *rows, const double *vertices, const double *normals, const double *offsets, const double *lower,
     const double *upper, double *cells, int64_t *places, double *needed, int64_t *pair_of, double *distances, int64_t *counts,
     double *work, int64_t *indices)
 {
     Rule rule = *(const Rule *)rule_numbers;
-    Pieces path = {segments, kinds, pieces, pieces + knots, pieces + 2 * knots};
+    Pieces path = {segments, kinds, (const Break *)table};
     Obstacles all = {m, q, rows, vertices, normals, offsets, lower, upper};
     Pairs pairs = {0, pair_of, pair_of + k * m * bodies, distances};
     double *motions = work, *within = work + 16 * n, *bound = within + 2 * n, *other = bound + 2 * n;
@@ -730,6 +752,8 @@ int64_t optdock_clearance_round(
     (void)corners;
     (void)circles;
 
+    if (!are_pieces(&path, breaks))
+        return -1;
     for (int64_t i = 0; i < n; i++)
         if (ends[i] < 0 || ends[i] >= k || ends[n + i] < 0 || ends[n + i] >= k || segment[i] < 0 ||
             segment[i] >= segments)
@@ -786,6 +810,172 @@ int64_t optdock_clearance_round(
             places[2 * n + i] = 0;
         else
             places[2 * n + i] = counts[1] && touches(bad, s, k, ends[i], ends[n + i]) ? 1 : 2;
+    }
+    return 0;
+}
+
+/* The poses at the parameters u (k,), ascending in every segment, with their cosines and sines, and their arc lengths;
+ * starts: (segments,), arc lengths [m]. */
+static void poses_at(const Pieces *path, const double *starts, const double *quadrature, const int64_t *segment,
+                     const double *u, int64_t k, double *poses, double *turned, double *s)
+{
+    const Break *breaks = path->breaks;
+    for (int64_t i = 0, at = 0, end; i < path->count; breaks += path->kinds[2 * i++], at = end) {
+        int64_t gear = path->kinds[2 * i + 1];
+        for (end = at; end < k && segment[end] == i;)
+            end++;
+        if (gear)
+            optdock_clothoid_poses(end - at, path->kinds[2 * i], (double)gear, u + at, (const double *)breaks,
+                                   quadrature, poses + 3 * at);
+        for (int64_t j = at; j < end; j++) {
+            if (!gear) {
+                poses[3 * j] = breaks->x;
+                poses[3 * j + 1] = breaks->y;
+                poses[3 * j + 2] = breaks->yaw + breaks->curvature * least(most(u[j], 0.0), breaks[1].s);
+            }
+            turned[2 * j] = cos(poses[3 * j + 2]);
+            turned[2 * j + 1] = sin(poses[3 * j + 2]);
+            s[j] = u[j] + starts[i];
+        }
+    }
+}
+
+/* Rows of the obstacles whose boxes intersect the box of the poses, widened by `reach`; all if they are not few. */
+static int64_t crop(const Obstacles *all, const double *poses, int64_t k, double reach, double worthwhile,
+                    int64_t *rows)
+{
+    double lower[2] = {INFINITY, INFINITY}, upper[2] = {-INFINITY, -INFINITY};
+    int64_t count = 0;
+    for (int64_t p = 0; p < k; p++) {
+        for (int64_t i = 0; i < 2; i++) {
+            lower[i] = least(lower[i], poses[3 * p + i]);
+            upper[i] = most(upper[i], poses[3 * p + i]);
+        }
+    }
+    for (int64_t o = 0; o < all->m; o++)
+        if (all->lower[2 * o] <= upper[0] + reach && all->lower[2 * o + 1] <= upper[1] + reach &&
+            all->upper[2 * o] >= lower[0] - reach && all->upper[2 * o + 1] >= lower[1] - reach)
+            rows[count++] = o;
+    if ((double)count <= worthwhile * (double)all->m)
+        return count;
+    for (int64_t o = 0; o < all->m; o++)
+        rows[o] = o;
+    return all->m;
+}
+
+/* The smallest bound so far, its place, and the smallest margin: `_Least` of the twin. */
+typedef struct {
+    double proven, s, needed, row, margin;
+} Least;
+
+/* Add the cells of a round that are proven and sharp; see `optdock_clearance_round`. Return 0 if one is in contact. */
+static int add_settled(int64_t n, const double *cells, const int64_t *places, const double *needed, Least *found)
+{
+    int64_t first = -1;
+    for (int64_t i = 0; i < n; i++) {
+        if (places[2 * n + i] != 0)
+            continue;
+        if (cells[i] < 0.0)
+            return 0;
+        found->margin = least(found->margin, cells[i] - cells[n + i]);
+        first = first < 0 || cells[i] < cells[first] ? i : first;
+    }
+    if (first >= 0 && (cells[first] < found->proven || found->row < 0.0))
+        *found = (Least){cells[first], cells[2 * n + first], needed[places[n + first]], (double)places[first],
+                         found->margin};
+    return 1;
+}
+
+/* The proof for a path whose cells are all cleared without contact, within the given memory: `_quick_numpy` of
+ * `conservative_advancement.py`.
+ *
+ *   sizes       segments, breaks; obstacles m, bodies, q, largest number of corners and of circles of a body;
+ *               room: most cells of a round; pairs: most of poses, obstacles and bodies in a round;
+ *               cheap: cells whose round takes about as long as that of one; most levels and poses;
+ *               is_sharp: whether the smallest clearance is determined
+ *   numbers     step [m] of the first cells; known clearance of a pose [m], or inf; tolerance, sharpness [m];
+ *               reach [m] and worthwhile of `crop`
+ *   kinds, table: see `Pieces`; starts: (segments + 1,), arc lengths [m]
+ *   quadrature  (2, 5), see clothoid_kernel.c; rule: (12,), see `Rule`
+ *   body_sizes, body_arrays, vertices ... upper: see `optdock_clearances`
+ *   found       out, (8,): smallest bound [m], its arc length [m], requirement there [m], obstacle, smallest margin
+ *               [m], numbers of poses and of obstacles that were evaluated, and clearance at the end [m] if is_sharp
+ *   work        53 room + pairs + m + 2 (corners + q + circles) + 1 numbers
+ *   indices     26 room + 2 pairs + 2 m + 3
+ *
+ * Return 1 if the path is proven, 0 if the proof needs more than this, or -1 if an index is out of range. */
+int64_t optdock_clearance_proof(
+    int64_t segments, int64_t breaks, int64_t m, int64_t bodies, int64_t q, int64_t corners, int64_t circles,
+    int64_t room, int64_t pairs, int64_t cheap, int64_t most_levels, int64_t most_poses, int64_t is_sharp, double step,
+    double known, double tolerance, double sharpness, double reach, double worthwhile, const int64_t *kinds,
+    const double *table, const double *starts, const double *quadrature, const double *rule, const int64_t *body_sizes,
+    const double *body_arrays, const double *vertices, const double *normals, const double *offsets,
+    const double *lower, const double *upper, double *found, double *work, int64_t *indices)
+{
+    Obstacles all = {m, q, 0, vertices, normals, offsets, lower, upper};
+    Pieces path = {segments, kinds, (const Break *)table};
+    double *numbers = work, *finer_numbers = numbers + 4 * room, *edges = finer_numbers + 4 * room;
+    double *poses = edges + 2 * room, *turned = poses + 6 * room, *s = turned + 4 * room, *cells = s + 2 * room;
+    double *needed = cells + 3 * room, *distances = needed + 2 * room + 1, *rest = distances + pairs;
+    int64_t *whole = indices, *finer_whole = whole + 6 * room, *places = finer_whole + 6 * room;
+    int64_t *chosen = places + 3 * room, *rows = chosen + room, *pair_of = rows + m, *counts = pair_of + 2 * pairs;
+    int64_t *more = counts + 2, stride = room, near, evaluated = 0, level = 0, nearest;
+    double attained = -INFINITY, at_end = INFINITY;
+    Least cleared = {INFINITY, 0.0, 0.0, -1.0, INFINITY};
+
+    if (optdock_first_cells(segments, breaks, room, step, kinds, table, whole, numbers, counts))
+        return 0;
+    int64_t n = counts[0], k = counts[1];
+    most_poses += n;
+    poses_at(&path, starts, quadrature, whole + 2 * stride, numbers + 2 * stride, k, poses, turned, s);
+    near = crop(&all, poses, k, reach, worthwhile, rows);
+    if (is_sharp) {
+        optdock_clearances(1, m, bodies, q, corners, circles, body_sizes, body_arrays, poses + 3 * (k - 1),
+                           turned + 2 * (k - 1), vertices, normals, offsets, lower, upper, &at_end, &nearest, rest);
+        attained = least(at_end, known);
+        if (!(at_end >= 0.0))
+            return 0;
+    }
+    while (near > 0 && k * near * bodies <= pairs) {
+        for (int64_t i = 0; i < n; i++) {
+            edges[i] = numbers[i];
+            edges[n + i] = numbers[stride + i];
+        }
+        if (optdock_clearance_round(n, k, near, bodies, q, corners, circles, segments, breaks, attained, tolerance,
+                                    sharpness, whole, edges, whole + 4 * stride, poses, turned, s, kinds, table, rule,
+                                    body_sizes, body_arrays, rows, vertices, normals, offsets, lower, upper, cells,
+                                    places, needed, pair_of, distances, counts, rest, more))
+            return -1;
+        evaluated += k;
+        attained = least(attained, needed[k]);
+        if (counts[1] || !add_settled(n, cells, places, needed, &cleared))
+            return 0;
+        int64_t open = 0, halvings = 1;
+        for (int64_t i = 0; i < n; i++)
+            if (places[2 * n + i])
+                chosen[open++] = i;
+        if (open == 0) {
+            double values[8] = {cleared.proven, cleared.s, cleared.needed, (double)rows[(int64_t)cleared.row],
+                                cleared.margin, (double)evaluated, (double)near, at_end};
+            for (int64_t i = 0; i < 8; i++)
+                found[i] = values[i];
+            return 1;
+        }
+        while (open << (halvings + 1) <= cheap)
+            halvings++;
+        if (level >= most_levels || evaluated > most_poses || open << halvings > room)
+            return 0;
+        k = optdock_divided_cells(n, open, (int64_t)1 << halvings, whole, numbers, numbers + stride, chosen,
+                                  finer_whole, finer_numbers);
+        level += halvings;
+        stride = n = open << halvings;
+        int64_t *old_whole = whole;
+        double *old_numbers = numbers;
+        whole = finer_whole;
+        numbers = finer_numbers;
+        finer_whole = old_whole;
+        finer_numbers = old_numbers;
+        poses_at(&path, starts, quadrature, whole + 2 * stride, numbers + 2 * stride, k, poses, turned, s);
     }
     return 0;
 }

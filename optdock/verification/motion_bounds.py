@@ -127,12 +127,13 @@ class CellMotion(NamedTuple):
 class Pieces(NamedTuple):
     """Clothoids and turns of a path in the form for kernels.
 
-    `kinds`: number of knots and gear of each segment, 0 for a turn in place, Shape (k, 2). `numbers`: knots [m],
-    curvature there [1/m], and curvature rate behind [1/m^2], of all segments one after the other, Shape (3, n).
+    `kinds`: number of breaks and gear of each segment, 0 for a turn in place, Shape (k, 2). `table`:
+    `ClothoidSpline.table` of all segments one after the other, Shape (n, 6); of a turn in place, two rows for its ends
+    with the turn per metre as curvature.
     """
 
     kinds: IntArray
-    numbers: FloatArray
+    table: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,23 +145,15 @@ class PathMotion:
     @functools.cached_property
     def pieces(self) -> Pieces | None:
         """The segments for kernels; None if one of them is a polyline."""
-        if any(isinstance(one, PolylineSegment) for one in self.path.segments):
+        segments = self.path.segments
+        tables = [_table_of(one) for one in segments if not isinstance(one, PolylineSegment)]
+        if len(tables) < len(segments):
             return None
-        counts = [one.knots.size for one in self.path.segments]
-        kinds = np.array([(n, int(one.direction)) for n, one in zip(counts, self.path.segments, strict=True)])
-        numbers, end = np.zeros((3, sum(counts))), 0
-        for count, one in zip(counts, self.path.segments, strict=True):
-            some, end = slice(end, end + count), end + count
-            numbers[0, some] = one.knots
-            if isinstance(one, ClothoidSegment):
-                numbers[1, some] = one.spline.curvature
-                numbers[2, some][:-1] = one.spline.curvature_rates
-            else:
-                numbers[1, some] = one.curvature_at(one.knots)
-        return Pieces(kinds, numbers)
+        kinds = np.array([(len(table), int(one.direction)) for table, one in zip(tables, segments, strict=True)])
+        return Pieces(kinds, tables[0] if len(tables) == 1 else np.concatenate(tables))
 
     def cells(self, max_step: float) -> Cells:
-        """Return cells of at most `max_step` [m] that cover the path, without knots in their interiors."""
+        """Return cells of at most `max_step` [m] that cover the path; breaks of its curves are ends of cells."""
         parts = [_segment_breaks(segment, max_step) for segment in self.path.segments]
         owner = np.concatenate([np.full(part.size - 1, i) for i, part in enumerate(parts)])
         return Cells(owner, np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts]))
@@ -190,6 +183,13 @@ class PathMotion:
         return CellMotion(*columns)
 
 
+def _table_of(segment: ClothoidSegment | TurnSegment) -> FloatArray:
+    if isinstance(segment, ClothoidSegment):
+        return segment.spline.table
+    ends = segment.knots
+    return np.column_stack((ends, segment.poses_at(ends), segment.curvature_at(ends), segment.curvature_rate_at(ends)))
+
+
 _FIRST = Kernel("optdock_first_cells", sizes=3, numbers=1)
 _DIVIDED = Kernel("optdock_divided_cells", sizes=3, numbers=0)
 
@@ -210,12 +210,16 @@ class _NewCells:
 def _first_cells_native(motion: PathMotion, max_step: float) -> tuple[Cells, CellEnds]:
     pieces = motion.pieces
     assert pieces is not None
-    count = pieces.numbers.shape[1]
+    segments, count = len(pieces.kinds), len(pieces.table)
     most = int(motion.path.length / max_step) + 2 * count + 2
     new, found = _NewCells(most), np.empty(2, dtype=np.int64)
-    counts, knots = np.ascontiguousarray(pieces.kinds[:, 0]), np.ascontiguousarray(pieces.numbers[0])
-    arrays = ((counts, len(pieces.kinds)), (knots, count), (new.whole, 6 * most), (new.numbers, 4 * most), (found, 2))
-    if _FIRST((len(pieces.kinds), count, most), (max_step,), arrays) < 0:
+    path = (pieces.kinds, 2 * segments), (pieces.table, 6 * count)
+    if (
+        _FIRST(
+            (segments, count, most), (max_step,), (*path, (new.whole, 6 * most), (new.numbers, 4 * most), (found, 2))
+        )
+        < 0
+    ):
         raise IndexError(f"cells: more than {most} on a path of {motion.path.length} m")
     return new.made(*found.tolist())
 
@@ -263,7 +267,8 @@ def divided(cells: Cells, chosen: IntArray, parts: int) -> tuple[Cells, CellEnds
 def _segment_breaks(segment: Segment, max_step: float) -> FloatArray:
     if isinstance(segment, PolylineSegment):
         return np.arange(segment.knots.size, dtype=np.float64)
-    return subdivided(segment.knots, np.maximum(1, np.ceil(np.diff(segment.knots) / max_step)).astype(np.int64))
+    breaks = segment.spline.table[:, 0] if isinstance(segment, ClothoidSegment) else segment.knots
+    return subdivided(breaks, np.maximum(1, np.ceil(np.diff(breaks) / max_step)).astype(np.int64))
 
 
 def _segment_poses(segment: Segment, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -298,9 +303,10 @@ def _turn_bounds(segment: TurnSegment, cells: Cells) -> CellMotion:
 
 def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
     width = cells.last - cells.first
-    piece = np.searchsorted(segment.knots, 0.5 * (cells.first + cells.last)) - 1
-    rate = segment.spline.curvature_rates[piece]
-    at_first = segment.spline.curvature[piece] + rate * (cells.first - segment.knots[piece])
+    breaks, *_, curvature, rates = segment.spline.table.T
+    piece = np.searchsorted(breaks, 0.5 * (cells.first + cells.last)) - 1
+    rate = rates[piece]
+    at_first = curvature[piece] + rate * (cells.first - breaks[piece])
     at_last = at_first + rate * width
     turn = np.maximum(np.abs(at_first), np.abs(at_last))
     sign = float(segment.direction)

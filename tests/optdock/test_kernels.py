@@ -32,7 +32,14 @@ from optdock.model.path import ClothoidSegment, Path, TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock
-from optdock.verification import clearance_rounds, compiled_clearances, motion_bounds, pose_clearances, stretch_bounds
+from optdock.verification import (
+    clearance_rounds,
+    compiled_clearances,
+    conservative_advancement,
+    motion_bounds,
+    pose_clearances,
+    stretch_bounds,
+)
 from optdock.verification.clearance_rounds import Near, Rule, World
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.motion_bounds import PathMotion
@@ -170,6 +177,28 @@ def test_proofs_of_both_lanes_are_equal(name, body, rocks, relief):
     for sharp in (True, False):
         proofs = both_lanes(lambda s=sharp: prove_clearance(Path(path.segments), problem, start_relief=relief, sharp=s))
         assert is_equal(*proofs)
+
+
+@needs_compiler
+@pytest.mark.parametrize("aside", [0.0, 0.9, 2.5, 40.0])
+@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize("name", PATHS)
+def test_quick_proofs_of_both_lanes_are_equal(name, body, aside):
+    """Among obstacles that are near, farther than those evaluated first, and out of reach; without a proof in some."""
+    motion, rng = PathMotion(PATHS[name]), np.random.default_rng(8)
+    at = motion.path.poses_at(np.linspace(0.0, motion.path.length, 40))[:, :2]
+    places = at + (aside + 0.75) * np.array([[0.0, 1.0]]) + rng.uniform(0.0, 0.2, at.shape)
+    rocks = ObstacleSet.from_polygons([place + np.array(obstacle(rng)) * 0.1 for place in places])
+    rule = Rule(ClearanceRule(0.1, 0.0, 0.3), 0.5, 0.0)
+    world = World(BODIES[body], rocks, motion.path.end, motion.path.start, rule)
+    for sharp, crop in ((True, 1.0), (False, 1.0), (True, 50.0)):
+        twin, native = both_lanes(
+            lambda s=sharp, c=crop: conservative_advancement._quick_chosen(motion, world, 0.6, c, sharp=s)
+        )
+        assert (twin is None) == (native is None)
+        assert (twin is None) == (aside > crop + 1.0) or aside == 0.0
+        if twin is not None:
+            assert is_equal((*twin[0], *twin[1:]), (*native[0], *native[1:]))
 
 
 @needs_compiler
@@ -484,14 +513,17 @@ def test_every_kernel_stands_alone_beside_its_twin(source):
     assert all(line.startswith(("static ", "int64_t optdock_")) for line in starts)
 
 
-def test_only_the_smoother_calls_other_kernels():
+def test_only_smoother_and_proof_call_other_kernels():
     """Search and proof share no native code, and the functions that are called are declared as they are defined."""
     declared, defined = {}, {}
     for source in kernel_sources(ROOT)[1:]:
         for head, end in re.findall(r"^(int64_t optdock_[^;{]*?)\s*([;{])", c_code(source), re.MULTILINE):
             (declared if end == ";" else defined).setdefault(source.as_posix(), set()).add(" ".join(head.split()))
-    assert set(declared) == {"smoothers/scp/loop_kernel.c"}
-    called = set().union(*declared.values())
-    homes = {source for source, heads in defined.items() if heads & called}
-    assert called <= set().union(*defined.values())
-    assert all(home.startswith("smoothers/scp/") for home in homes - {"optdock/quadratic_program_kernel.c"})
+    homes = {
+        caller: {source for source, heads in defined.items() if heads & called} for caller, called in declared.items()
+    }
+    assert set.union(*declared.values()) <= set.union(*defined.values())
+    assert homes.pop("optdock/verification/conservative_advancement_kernel.c") == {"optdock/geometry/clothoid_kernel.c"}
+    assert set(homes) == {"smoothers/scp/loop_kernel.c"}
+    called = homes["smoothers/scp/loop_kernel.c"] - {"optdock/quadratic_program_kernel.c"}
+    assert all(home.startswith("smoothers/scp/") for home in called)

@@ -1,5 +1,7 @@
 """Clothoid splines against quadrature, closed forms and symmetries."""
 
+import shutil
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from scipy.special import fresnel
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.kernels import using_kernels
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)
 
@@ -22,6 +25,29 @@ def random_spline(seed, sign=1, start=ORIGIN):
     rng = np.random.default_rng(seed)
     knots = np.concatenate(([0.0], np.cumsum(rng.uniform(0.05, 1.0, 6))))
     return ClothoidSpline(start, knots, rng.uniform(-3.0, 3.0, 7), sign)
+
+
+def in_both_lanes(run):
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            found.append(run())
+    return found
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 3.0, 60.0]), st.sampled_from([1, -1]))
+def test_both_lanes_are_equal(seed, bend, sign):
+    """Also for splines with cells that are divided, and beyond both ends."""
+    rng = np.random.default_rng(seed)
+    knots = np.concatenate(([0.0], np.cumsum(rng.uniform(1e-3, 1.0, rng.integers(1, 30)))))
+    start, curvature = Pose2(*rng.uniform(-20.0, 20.0, 3)), bend * rng.uniform(-1.0, 1.0, knots.size)
+    twin, native = in_both_lanes(lambda: ClothoidSpline(start, knots, curvature, sign))
+    assert np.array_equal(twin.table, native.table)
+    s = np.concatenate((knots, rng.uniform(-1.0, knots[-1] + 1.0, 40), [np.nan]))
+    twin, native = in_both_lanes(lambda: twin.poses_at(s))
+    assert np.array_equal(twin, native, equal_nan=True)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -21,12 +21,14 @@ from optdock.impossibility import (
     prove_impossible,
 )
 from optdock.impossibility import proof as impossibility
+from optdock.kernels import Kernel, kernels_lane
 from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import warm_up
+from optdock.verification import compiled_clearances
 from optdock.verification.certificate import TOLERANCE
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
@@ -282,6 +284,18 @@ def test_checker_does_not_import_the_search():
         if isinstance(node, ast.ImportFrom)
     }
     assert not any("cell_decomposition" in str(module) for module in imported)
+
+
+def test_checker_calls_no_kernel(narrow, monkeypatch):
+    def refuse(*_):
+        raise AssertionError
+
+    asked, proof = narrow
+    monkeypatch.setattr(Kernel, "__call__", refuse)
+    if kernels_lane() != "twin":
+        with pytest.raises(AssertionError):
+            compiled_clearances(np.zeros((1, 3)), asked.robot.footprint, asked.all_obstacles)
+    assert check_impossibility(proof, dataclasses.replace(asked)).proven
 
 
 def test_proof_is_the_same_after_a_file(narrow):
