@@ -25,8 +25,9 @@ from optdock.geometry.pose import transform_points
 from optdock.impossibility.proof import SLACK, ImpossibilityVerdict, least_required
 from optdock.model.dock import DockDirection
 from optdock.model.problem import ProblemFingerprint
+from optdock.verification.clearance_kernel import compiled_clearances, end_clearances
 from optdock.verification.path_rules import STRAIGHT_TOLERANCE
-from optdock.verification.proximity import end_clearances, pose_clearances
+from optdock.verification.proximity import pose_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -143,12 +144,12 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
     if straight <= 0.0 or len(problem.all_obstacles) == 0:
         return None
     before = np.linspace(0.0, straight, math.ceil(straight / _SPACING) + 1)
-    found = []
+    footprint, obstacles, found = problem.robot.footprint, problem.all_obstacles, []
+    start_clearance = end_clearances(problem).start
     for gear in _GEARS[problem.dock.direction]:
         poses = _poses(gear, before, problem)
-        required = least_required(problem, poses[:, 0], poses[:, 1], slack, end_clearances(problem).start)
-        footprint, obstacles = problem.robot.footprint, problem.all_obstacles
-        clearance, row = pose_clearances(poses, footprint, obstacles, float(required.max()) + slack)
+        required = least_required(problem, poses[:, 0], poses[:, 1], slack, start_clearance)
+        clearance, row = compiled_clearances(poses, footprint, obstacles, float(required.max()) + slack)
         k = int((required - clearance).argmax())
         if not required[k] - clearance[k] > 2.0 * slack:
             return None
@@ -179,7 +180,8 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
         fault = "a pose is not on the final straight"
     if fault:
         return ImpossibilityVerdict(proven=False, reason=fault, cells=0)
-    slack, start_clearance = _slack(problem), end_clearances(problem).start
+    slack = _slack(problem)
+    start_clearance, _ = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
     tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices))
     for blocked in proof.poses:
         pose = _poses(blocked.gear, np.array([blocked.before]), problem)

@@ -43,7 +43,7 @@ from optdock.impossibility.connectivity_graph import (
 from optdock.impossibility.footprint_discs import DiscCover, disc_cover
 from optdock.impossibility.obstacle_lattice import ObstacleLattice, least_and_most
 from optdock.impossibility.proof import CELLS, SLACK, Bottleneck, ImpossibilityProof, least_required
-from optdock.verification.proximity import end_clearances
+from optdock.verification.clearance_kernel import end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -44,7 +44,7 @@ from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import ProblemFingerprint
-from optdock.verification.proximity import end_clearances, pose_clearances
+from optdock.verification.proximity import pose_clearance, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -315,12 +315,13 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
     fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
     # Floats have the highest resolution near the origin of the tiles.
     tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
+    start_clearance, _ = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
     count = 0
     for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=False):  # no cell of a whole tile is on the rim
         if fault:
             break
         count += int(cells.sum())
-        if not _are_blocked(proof, problem, tree, tile, cells):
+        if not _are_blocked(proof, problem, start_clearance, tree, tile, cells):
             fault = "a cell on the rim is not blocked"
     return ImpossibilityVerdict(proven=not fault, reason=fault, cells=count)
 
@@ -341,7 +342,7 @@ def separated_starts(proof: ImpossibilityProof, problem: DockingProblem, poses: 
     """
     required, footprint = problem.path_clearance.required + SLACK, problem.robot.footprint
     found = np.zeros(len(poses), dtype=np.bool_)
-    if len(poses) == 0 or end_clearances(problem).start < required:
+    if len(poses) == 0 or pose_clearance(problem.start, footprint, problem.all_obstacles)[0] < required:
         return found
     clearances, _ = pose_clearances(poses, footprint, problem.all_obstacles, within=required + SLACK)
     rim = _Rim(proof)
@@ -480,7 +481,12 @@ class _Rim:
 
 
 def _are_blocked(
-    proof: ImpossibilityProof, problem: DockingProblem, tree: STRtree, tile: list[int], cells: BoolArray
+    proof: ImpossibilityProof,
+    problem: DockingProblem,
+    start_clearance: float,
+    tree: STRtree,
+    tile: list[int],
+    cells: BoolArray,
 ) -> bool:
     """Whether the selected cells of a tile, Shape (headings, rows, columns), are blocked by obstacles of `tree`."""
     import shapely
@@ -494,7 +500,7 @@ def _are_blocked(
     (mx, my), (ox, oy) = proof.centre, proof.origin
     reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
     place = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
-    required = least_required(problem, *place, reach, end_clearances(problem).start)
+    required = least_required(problem, *place, reach, start_clearance)
     left = np.ones(yaw.size, dtype=np.bool_)
     for px, py, radius in proof.discs[np.argsort(-proof.discs[:, 2])].tolist():
         moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)

@@ -21,8 +21,8 @@ from optdock.geometry.pose import FARTHEST, transform_points
 from optdock.geometry.separation import separation
 from optdock.model.limits import finite_limits
 from optdock.verification import TOLERANCE
+from optdock.verification.clearance_kernel import end_clearances
 from optdock.verification.motion_bounds import Cells, PathMotion
-from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray

@@ -44,8 +44,8 @@ from optdock.samples.sampled_motion import (
     runs_of,
 )
 from optdock.verification.certificate import TOLERANCE, Violation
+from optdock.verification.clearance_kernel import end_clearances
 from optdock.verification.conservative_advancement import prove_clearance
-from optdock.verification.proximity import end_clearances
 from optdock.verification.turning_rules import STEP_RTOL
 
 if TYPE_CHECKING:

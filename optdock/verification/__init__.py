@@ -15,7 +15,7 @@ from optdock.verification.certificate import (
     where_broken,
 )
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
-from optdock.verification.clearance_kernel import compiled_clearances
+from optdock.verification.clearance_kernel import EndClearances, compiled_clearances, end_clearances
 from optdock.verification.proven_motion import (
     ProvenMotion,
     ProvenWay,
@@ -26,7 +26,7 @@ from optdock.verification.proven_motion import (
     proven_way,
     unchanged_way,
 )
-from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
+from optdock.verification.proximity import pose_clearance, pose_clearances
 
 __all__ = [
     "SHARPNESS",

@@ -14,9 +14,9 @@ from optdock.geometry.checked import exactly
 from optdock.geometry.obstacles import in_words
 from optdock.model.limits import MotionLimits
 from optdock.verification.certificate import TOLERANCE, Certificate, Memo, Subject, TrajectoryCertificate, Violation
+from optdock.verification.clearance_kernel import end_clearances
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
-from optdock.verification.proximity import end_clearances
 from optdock.verification.trajectory_rules import trajectory_violations
 from optdock.verification.visibility import prove_view
 

@@ -13,14 +13,16 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from optdock.geometry.separation import skips_edges
 from optdock.kernels import Kernel, twin_of
+from optdock.verification.certificate import Memo
 from optdock.verification.proximity import bounded_footprint, lower_where_deep, of_pieces
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.problem import DockingProblem
 
-__all__ = ["PackedFootprint", "compiled_clearances", "packed_footprint"]
+__all__ = ["EndClearances", "PackedFootprint", "compiled_clearances", "end_clearances", "packed_footprint"]
 
 
 class PackedFootprint(NamedTuple):
@@ -90,3 +92,26 @@ def _of_pieces_chosen(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
     return of_pieces(poses, footprint, obstacles, within)
+
+
+class EndClearances(NamedTuple):
+    """Signed clearances of the start and the goal of a problem [m], and the rows of the obstacles nearest to them."""
+
+    start: float
+    nearest_to_start: int
+    goal: float
+    nearest_to_goal: int
+
+
+def end_clearances(problem: DockingProblem) -> EndClearances:
+    """Return the clearances of the start and the goal, cached with the problem; inf and -1 without obstacles."""
+    known = _ENDS.recall(problem)
+    if known is None:
+        ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
+        distance, row = compiled_clearances(ends, problem.robot.footprint, problem.all_obstacles)
+        known = EndClearances(float(distance[0]), int(row[0]), float(distance[1]), int(row[1]))
+        _ENDS.keep(problem, known)
+    return known
+
+
+_ENDS: Memo[DockingProblem, EndClearances] = Memo()

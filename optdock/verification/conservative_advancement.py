@@ -22,11 +22,11 @@ from optdock.geometry.clothoid import QUADRATURE
 from optdock.geometry.separation import skips_edges
 from optdock.kernels import Kernel, kernels_lane, twin_of
 from optdock.verification.certificate import SHARPNESS, TOLERANCE
-from optdock.verification.clearance_kernel import compiled_clearances, packed_footprint
+from optdock.verification.clearance_kernel import compiled_clearances, end_clearances, packed_footprint
 from optdock.verification.clearance_rounds import Near, Rule, World, clearance_round, from_both_ends
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
 from optdock.verification.motion_bounds import Cells, PathMotion, divided, first_cells
-from optdock.verification.proximity import bounded, end_clearances, pose_clearances
+from optdock.verification.proximity import bounded, pose_clearances
 from optdock.verification.stretch_bounds import advance_bounds
 
 if TYPE_CHECKING:

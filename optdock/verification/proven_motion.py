@@ -23,8 +23,9 @@ from optdock.model.robot import TrackingTube
 from optdock.model.trajectory import Trajectory
 from optdock.verification.certificate import TOLERANCE, Certificate, Memo, TrajectoryCertificate, where_broken
 from optdock.verification.certify import certify_motion, certify_path
+from optdock.verification.clearance_kernel import end_clearances
 from optdock.verification.conservative_advancement import Begun, prove_clearance
-from optdock.verification.proximity import end_clearances, pose_clearance
+from optdock.verification.proximity import pose_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,7 +17,6 @@ from optdock.geometry.arrays import frozen
 from optdock.geometry.obstacles import box_distance
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
-from optdock.verification.certificate import Memo
 from optdock.verification.contact_tolerance import DEPTH, deepest
 
 if TYPE_CHECKING:
@@ -26,15 +25,12 @@ if TYPE_CHECKING:
     from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
     from optdock.geometry.separation import ConvexBody
-    from optdock.model.problem import DockingProblem
 
 __all__ = [
     "BoundedBody",
-    "EndClearances",
     "bounded",
     "bounded_footprint",
     "broad_phase",
-    "end_clearances",
     "lower_where_deep",
     "of_pieces",
     "pose_clearance",
@@ -44,29 +40,6 @@ __all__ = [
 _MAX_CIRCLES = 3  # per body; more circles take longer than the narrow phase that they save
 _NEARBY = 1.0  # [m]: obstacles farther than this are evaluated only if no other is as near
 _NEAREST = 8  # obstacles per pose that the narrow phase evaluates first; the others only if they may be nearer
-
-
-class EndClearances(NamedTuple):
-    """Signed clearances of the start and the goal of a problem [m], and the rows of the obstacles nearest to them."""
-
-    start: float
-    nearest_to_start: int
-    goal: float
-    nearest_to_goal: int
-
-
-def end_clearances(problem: DockingProblem) -> EndClearances:
-    """Return the clearances of the start and the goal, cached with the problem; inf and -1 without obstacles."""
-    known = _ENDS.recall(problem)
-    if known is None:
-        ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
-        distance, row = pose_clearances(ends, problem.robot.footprint, problem.all_obstacles)
-        known = EndClearances(float(distance[0]), int(row[0]), float(distance[1]), int(row[1]))
-        _ENDS.keep(problem, known)
-    return known
-
-
-_ENDS: Memo[DockingProblem, EndClearances] = Memo()
 
 
 def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:

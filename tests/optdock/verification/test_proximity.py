@@ -19,7 +19,7 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.verification import end_clearances, pose_clearance, pose_clearances, proximity
+from optdock.verification import clearance_kernel, end_clearances, pose_clearance, pose_clearances, proximity
 
 BAR = Footprint.rectangle(0.9, 0.3, 0.4)
 DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
@@ -121,8 +121,8 @@ def test_the_clearances_of_the_ends_are_those_of_each_pose_alone(family):
 
 @pytest.fixture
 def looks(monkeypatch):
-    made, real = [], proximity.pose_clearances
-    monkeypatch.setattr(proximity, "pose_clearances", lambda *arguments: made.append(1) or real(*arguments))
+    made, real = [], clearance_kernel.compiled_clearances
+    monkeypatch.setattr(clearance_kernel, "compiled_clearances", lambda *arguments: made.append(1) or real(*arguments))
     return made
 
 
