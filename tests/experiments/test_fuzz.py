@@ -141,6 +141,20 @@ def test_dip_between_samples_is_found():
         assert found.margin.min() == pytest.approx(5e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize("length", [1.25, 2.5])
+@pytest.mark.parametrize("gap", [2e-3, 4e-3])
+def test_dip_behind_a_long_wall_is_found(gap, length):
+    """A drive along a wall, where every interval looks promising, and a turn in place past a post."""
+    wall = [[-2.0, 0.3 + gap], [length - 1.0, 0.3 + gap], [length - 1.0, 0.4], [-2.0, 0.4]]
+    turn = {"type": "turn", "start": [length, 0.0, 0.0], "turn": 0.55, "gear": 0}
+    for angle in np.linspace(0.02, 0.06, 5) - math.atan2(0.3, 0.4):
+        at = np.array([length, 0.0]) + (0.5 + 1e-3) * np.array([math.cos(angle), math.sin(angle)])
+        post = (at + 1e-9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])).tolist()
+        case = scene([clothoid([0.0, length], [0.0, 0.0]), turn], obstacles=[wall, post])
+        found = sweep(case, motion_of(case["path"]), World.of(case))
+        assert found.margin.min() == pytest.approx(1e-3, abs=1e-6)
+
+
 def test_the_oracle_shares_no_code_with_the_library():
     names = ", ".join(
         f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing", "views", "cells")

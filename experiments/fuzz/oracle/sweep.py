@@ -29,8 +29,8 @@ _STEP, _TURN = 0.04, 0.08  # [m], [rad] between initial samples
 _MOST = 1500  # initial samples
 _SURELY = 1e-9  # [m]: distances of other programs may differ by less
 _PARTS = 6  # parts of a refined interval
-_ROUNDS = 7
-_KEPT = 14  # intervals refined per round
+_ROUNDS = 20
+_KEPT = 40  # intervals refined per round
 AROUND = 1.0 / np.cos(np.pi / 32.0) - 1.0  # relative: excess of the circumscribed polygon over the radius of a disc
 _ENOUGH = 1e-7  # [m]: largest undetected decrease within an interval
 
@@ -168,10 +168,12 @@ class _Search:
         table: tuple[Floats, ...] = (piece.astype(float), low, high, clearance[:-1], last[0], margin[:-1], last[1])
         best = float(margin.min())
         for _ in range(rounds):
-            chosen = self._promising(table, best)
-            if chosen.size == 0 or best < -1e-2:
+            hopeful = self._promising(table, best)
+            if hopeful.size == 0 or best < -1e-2:
                 break
-            table, measured = self._refined(tuple(column[chosen] for column in table))
+            finer, measured = self._refined(tuple(column[hopeful[:_KEPT]] for column in table))
+            left = hopeful[_KEPT:]  # beside a wall, many intervals look more promising than that with the minimum
+            table = tuple(np.concatenate((new, column[left])) for new, column in zip(finer, table, strict=True))
             found.append(measured)
             best = min(best, float(measured.margin.min()))
         return Sweep(
@@ -210,7 +212,7 @@ class _Search:
         rule = min(0.5, abs(self._slope()))
         least = np.minimum(m0, m1) - dip - rule * self.motion.way[piece] * width * 0.25
         hopeful = np.flatnonzero((least < best - _ENOUGH) & (width > 1e-9))
-        return hopeful[np.argsort(least[hopeful], kind="stable")[:_KEPT]]
+        return hopeful[np.argsort(least[hopeful], kind="stable")]
 
     def _slope(self) -> float:
         required, at_dock, taper, _, _ = clearance_rule(self.case)

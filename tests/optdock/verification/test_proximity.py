@@ -19,7 +19,7 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.verification import clearance_kernel, end_clearances, pose_clearance, pose_clearances, proximity
+from optdock.verification import clearance_kernel, end_clearances, pose_clearance, pose_clearances
 
 BAR = Footprint.rectangle(0.9, 0.3, 0.4)
 DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
