@@ -27,6 +27,7 @@ FLAGS = (
     "-fno-sanitize-recover=all",
 )
 TESTS = (
+    "tests/optdock/geometry/test_clothoid.py::test_both_lanes_are_equal",
     "tests/optdock/test_kernels.py",
     "tests/smoothers/test_clearance_along.py",
     "tests/smoothers/test_initial_guess_kernel.py",
