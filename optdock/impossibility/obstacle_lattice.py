@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.model.problem import DockingProblem
 
-__all__ = ["ObstacleLattice", "least_and_most"]
+__all__ = ["ObstacleLattice", "least_and_most", "to_obstacles"]
 
 _COMPARED = 250_000  # pairs of a node and a column per vectorized step, about a millisecond
 
@@ -24,13 +25,13 @@ class ObstacleLattice:
 
     def __init__(self, problem: DockingProblem, origin: FloatArray, look: Callable[[], None]) -> None:
         everything, self.look = problem.all_obstacles, look
-        self.normals, self.vertices = everything.normals, everything.vertices - origin
-        self.offsets = (self.normals * self.vertices).sum(axis=2)
-        self.lower, self.upper = everything.lower - origin, everything.upper - origin
+        self.normals, self.vertices = everything.normals, readonly(everything.vertices - origin)
+        self.offsets = readonly((self.normals * self.vertices).sum(axis=2))
+        self.lower, self.upper = readonly(everything.lower - origin), readonly(everything.upper - origin)
         starts, ends = self.vertices.reshape(-1, 2), np.roll(self.vertices, -1, axis=1).reshape(-1, 2)
         kept = (starts != ends).any(axis=1)
-        self.starts, self.along = starts[kept], (ends - starts)[kept]
-        self.low, self.high = np.minimum(starts, ends)[kept], np.maximum(starts, ends)[kept]
+        self.starts, self.along = readonly(starts[kept]), readonly((ends - starts)[kept])
+        self.low, self.high = readonly(np.minimum(starts, ends)[kept]), readonly(np.maximum(starts, ends)[kept])
 
     def distances(self, corner: FloatArray, step: float, count: int) -> FloatArray:
         """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
@@ -38,15 +39,12 @@ class ObstacleLattice:
         Rows run along y. The distance of a node is measured to an obstacle point, namely the point next to the closest
         node at an obstacle. Obstacles outside the lattice are ignored.
         """
-        covered = self._covered(corner, step, count)
         self.look()
-        samples = self._samples(corner, step * (count - 1), 0.5 * step)
-        self.look()
-        found = _to_obstacles(covered, samples, step, count, self.look)
+        found = _distances(self, corner, step, count)
         self.look()
         return found
 
-    def _covered(self, corner: FloatArray, step: float, count: int) -> IntArray:
+    def covered(self, corner: FloatArray, step: float, count: int) -> IntArray:
         """Return the nodes inside obstacles: rows, first columns, and columns after the last ones, Shape (n, 3)."""
         low, high = (self.lower - corner) / step, (self.upper - corner) / step
         met = ((high >= 0.0) & (low <= count - 1)).all(axis=1).nonzero()[0]
@@ -54,7 +52,8 @@ class ObstacleLattice:
         number = np.maximum(np.floor(high[met, 1].clip(0, count - 1)).astype(np.int64) + 1 - first, 0)
         piece = np.arange(met.size).repeat(number)
         row = np.arange(piece.size) - (number.cumsum() - number).repeat(number) + first[piece]
-        (nx, ny), offset = self.normals[met].transpose(2, 0, 1), self.offsets[met] - self.normals[met] @ corner
+        nx, ny = self.normals[met].transpose(2, 0, 1)
+        offset = self.offsets[met] - (nx * corner[0] + ny * corner[1])
         # An edge with its normal along y admits all or none of a row.
         room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
         steep, is_along = step * nx[piece], nx[piece] == 0.0
@@ -65,7 +64,7 @@ class ObstacleLattice:
         stop = np.maximum(np.floor(until.clip(-1, count - 1)).astype(np.int64) + 1, begin)
         return np.column_stack((row, begin, stop))
 
-    def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
+    def samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
         """Return points of the outlines clipped to a square ([Liang1984]), at most `spacing` apart, Shape (n, 2)."""
         rows = ((self.low <= corner + extent) & (self.high >= corner)).all(axis=1).nonzero()[0]
         start, along = self.starts[rows] - corner, self.along[rows]
@@ -84,32 +83,40 @@ class ObstacleLattice:
         return points
 
 
-_DISTANCES = Kernel("optdock_lattice_distances", sizes=3, numbers=1)
+_DISTANCES = Kernel("optdock_lattice_distances", sizes=4, numbers=3)
 _CLEARANCES = Kernel("optdock_lattice_clearances", sizes=4, numbers=0)
 
 
-def _to_obstacles_native(
-    covered: IntArray,
-    samples: FloatArray,
-    step: float,
-    count: int,
-    look: Callable[[], None],  # noqa: ARG001 - of the twin
-) -> FloatArray:
-    spans, k, found = len(covered), len(samples), np.empty((count, count))
+def _distances_native(lattice: ObstacleLattice, corner: FloatArray, step: float, count: int) -> FloatArray:
+    """Return the result of `_distances`, computed in C; its arrays are described there."""
+    (m, q, _), edges, found = lattice.vertices.shape, len(lattice.starts), np.empty((count, count))
     arrays = (
-        (covered, 3 * spans),
-        (np.rint(samples / step).astype(np.int64), 2 * k),
-        (np.ascontiguousarray(samples), 2 * k),
+        (lattice.normals, 2 * m * q),
+        (lattice.offsets, m * q),
+        (lattice.lower, 2 * m),
+        (lattice.upper, 2 * m),
+        (lattice.starts, 2 * edges),
+        (lattice.along, 2 * edges),
+        (lattice.low, 2 * edges),
+        (lattice.high, 2 * edges),
+        (np.empty((count, count, 2)), 2 * count * count),
         (np.empty((3, count, count), dtype=np.int64), 3 * count * count),
         (np.empty((3, count), dtype=np.int64), 3 * count),
         (found, count * count),
     )
-    _DISTANCES((count, spans, k), (step,), arrays)
+    _DISTANCES((count, m, q, edges), (step, *corner.tolist()), arrays)
     return found
 
 
-@twin_of(_to_obstacles_native)
-def _to_obstacles(
+@twin_of(_distances_native)
+def _distances(lattice: ObstacleLattice, corner: FloatArray, step: float, count: int) -> FloatArray:
+    covered = lattice.covered(corner, step, count)
+    samples = lattice.samples(corner, step * (count - 1), 0.5 * step)
+    lattice.look()
+    return to_obstacles(covered, samples, step, count, lattice.look)
+
+
+def to_obstacles(
     covered: IntArray, samples: FloatArray, step: float, count: int, look: Callable[[], None]
 ) -> FloatArray:
     """Return the distances of nodes from the obstacle points of the closest sites, Shape (count, count) [m].

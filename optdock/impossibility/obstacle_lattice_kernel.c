@@ -1,4 +1,4 @@
-/* Distances on a lattice: the functions `_to_obstacles` and `_least_and_most` of `obstacle_lattice.py` in C.
+/* Distances on a lattice: the functions `_distances` and `least_and_most` of `obstacle_lattice.py` in C.
  *
  * Only the search for a proof depends on this file; the checker has code of its own. Sums and products are evaluated in
  * the order of the twins, so the results are equal to the last bit. */
@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stdint.h>
 
-enum { FREE = -2, INSIDE = -1 }; /* marks of nodes; all others are rows of samples */
+enum { FREE = 0, SITE = 1, INSIDE = 2 }; /* marks of nodes; a site inside an obstacle may also be at an outline */
 
 static int64_t absolute(int64_t a) { return a < 0 ? -a : a; }
 
@@ -67,27 +67,112 @@ static int along_row(int64_t n, const int64_t *apart, int64_t *columns, int64_t 
     return 1;
 }
 
+/* A lattice of n x n nodes: spacing [m], and position of the first node relative to the origin [m]. */
+typedef struct {
+    int64_t n;
+    double step, corner[2];
+} Lattice;
+
+/* Nodes at obstacles: marks (n, n), and the obstacle point of each site, (n, n, 2) [m]. */
+typedef struct {
+    int64_t *marks;
+    double *points;
+} Sites;
+
+static double clipped(double x, double low, double high) { return x < low ? low : (x > high ? high : x); }
+
+static double smaller(double a, double b) { return a < b ? a : b; }
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+/* Mark the nodes in a convex polygon with q edges and the bounding box (lower, upper). */
+static void mark_inside(const Lattice *lattice, int64_t q, const double *normals, const double *offsets,
+                        const double *lower, const double *upper, Sites *sites)
+{
+    int64_t n = lattice->n;
+    double low[2], high[2], last = (double)(n - 1), step = lattice->step;
+    for (int i = 0; i < 2; i++) {
+        low[i] = (lower[i] - lattice->corner[i]) / step;
+        high[i] = (upper[i] - lattice->corner[i]) / step;
+        if (!(high[i] >= 0.0 && low[i] <= last))
+            return;
+    }
+    for (int64_t row = (int64_t)ceil(clipped(low[1], 0.0, last)); row <= (int64_t)floor(clipped(high[1], 0.0, last));
+         row++) {
+        double until = INFINITY, since = -INFINITY;
+        for (int64_t e = 0; e < q; e++) {
+            double nx = normals[2 * e], ny = normals[2 * e + 1], steep = step * nx;
+            double offset = offsets[e] - (nx * lattice->corner[0] + ny * lattice->corner[1]);
+            double room = offset - ny * (step * (double)row);
+            /* An edge with its normal along y admits all or none of a row. */
+            double bound = nx != 0.0 ? room / steep : (room < 0.0 ? -INFINITY : INFINITY);
+            if (steep > 0.0 || nx == 0.0)
+                until = smaller(until, bound);
+            if (steep < 0.0)
+                since = larger(since, bound);
+        }
+        int64_t stop = (int64_t)floor(clipped(until, -1.0, last)) + 1;
+        for (int64_t column = (int64_t)ceil(clipped(since, 0.0, (double)n)); column < stop; column++) {
+            int64_t node = row * n + column;
+            sites->marks[node] = INSIDE;
+            sites->points[2 * node] = step * (double)column;
+            sites->points[2 * node + 1] = step * (double)row;
+        }
+    }
+}
+
+/* Mark the nodes next to points of an edge from `start` (2,) [m], clipped to the lattice ([Liang1984]). */
+static void mark_edge(const Lattice *lattice, const double *start, const double *along, Sites *sites)
+{
+    double extent = lattice->step * (double)(lattice->n - 1), enter = 0.0, leave = 1.0, from[2];
+    for (int i = 0; i < 2; i++) {
+        from[i] = start[i] - lattice->corner[i];
+        if (along[i] != 0.0) {
+            double first = -from[i] / along[i], second = (extent - from[i]) / along[i];
+            enter = larger(enter, smaller(first, second));
+            leave = smaller(leave, larger(first, second));
+        }
+    }
+    if (!(enter <= leave))
+        return;
+    double parts = ceil((leave - enter) * hypot(along[0], along[1]) / (0.5 * lattice->step));
+    for (double rank = 0.0; rank <= parts; rank += 1.0) {
+        double share = enter + rank / larger(parts, 1.0) * (leave - enter);
+        double x = clipped(from[0] + share * along[0], 0.0, extent);
+        double y = clipped(from[1] + share * along[1], 0.0, extent);
+        int64_t node = (int64_t)rint(y / lattice->step) * lattice->n + (int64_t)rint(x / lattice->step);
+        sites->marks[node] |= SITE;
+        sites->points[2 * node] = x;
+        sites->points[2 * node + 1] = y;
+    }
+}
+
 /* Compute upper bounds of the distances of nodes from the obstacles.
  *
- *   n, spans, k      nodes along each side; numbers of spans and samples
- *   step             spacing of the nodes [m]
- *   covered          (spans, 3), row, first column, and column behind the last one, of nodes inside obstacles
- *   nodes, samples   (k, 2), column and row of the node next to each point of the outlines, and x, y of the points [m]
- *   room             (3, n, n), for marks and for nearest rows and columns; more: (3, n)
+ *   n, m, q, edges   nodes along each side; obstacles, their corners, and edges of all obstacles
+ *   step             spacing of the nodes [m]; corner_x, corner_y: first node [m]
+ *   normals, offsets (m, q, 2), (m, q) [m]; lower, upper: (m, 2) [m], bounding boxes
+ *   starts, along, low, high (edges, 2) [m]: beginnings of the edges, their vectors, and bounding boxes
+ *   points           room for (n, n, 2); room: (3, n, n) for marks, nearest rows and columns; more: (3, n)
  *   found            out, (n, n) [m] */
-int64_t optdock_lattice_distances(int64_t n, int64_t spans, int64_t k, double step, const int64_t *covered,
-                                  const int64_t *nodes, const double *samples, int64_t *room, int64_t *more,
-                                  double *found)
+int64_t optdock_lattice_distances(int64_t n, int64_t m, int64_t q, int64_t edges, double step, double corner_x,
+                                  double corner_y, const double *normals, const double *offsets, const double *lower,
+                                  const double *upper, const double *starts, const double *along, const double *low,
+                                  const double *high, double *points, int64_t *room, int64_t *more, double *found)
 {
-    int64_t *marks = room, *rows = room + n * n, *columns = room + 2 * n * n;
+    Lattice lattice = {n, step, {corner_x, corner_y}};
+    Sites sites = {room, points};
+    int64_t *rows = room + n * n, *columns = room + 2 * n * n;
+    double extent = step * (double)(n - 1);
     for (int64_t i = 0; i < n * n; i++)
-        marks[i] = FREE;
-    for (int64_t i = 0; i < spans; i++)
-        for (int64_t column = covered[3 * i + 1]; column < covered[3 * i + 2]; column++)
-            marks[covered[3 * i] * n + column] = INSIDE;
-    for (int64_t i = 0; i < k; i++)
-        marks[nodes[2 * i + 1] * n + nodes[2 * i]] = i;
-    within_columns(n, marks, rows);
+        sites.marks[i] = FREE;
+    for (int64_t o = 0; o < m; o++)
+        mark_inside(&lattice, q, normals + 2 * q * o, offsets + q * o, lower + 2 * o, upper + 2 * o, &sites);
+    for (int64_t e = 0; e < edges; e++)
+        if (low[2 * e] <= corner_x + extent && low[2 * e + 1] <= corner_y + extent && high[2 * e] >= corner_x &&
+            high[2 * e + 1] >= corner_y)
+            mark_edge(&lattice, starts + 2 * e, along + 2 * e, &sites);
+    within_columns(n, sites.marks, rows);
     for (int64_t row = 0; row < n; row++) {
         for (int64_t column = 0; column < n; column++) {
             int64_t site = rows[row * n + column];
@@ -95,20 +180,16 @@ int64_t optdock_lattice_distances(int64_t n, int64_t spans, int64_t k, double st
         }
         int any = along_row(n, more, more + n, more + 2 * n, columns + row * n);
         for (int64_t column = 0; column < n; column++) {
-            if (!any) {
-                found[row * n + column] = INFINITY;
+            int64_t node = row * n + column;
+            if (!any || sites.marks[node] & INSIDE) {
+                found[node] = any ? 0.0 : INFINITY;
                 continue;
             }
-            int64_t at = columns[row * n + column], site = rows[row * n + at], mark = marks[site * n + at];
-            double x = mark == INSIDE ? step * (double)at : samples[2 * mark];
-            double y = mark == INSIDE ? step * (double)site : samples[2 * mark + 1];
-            double dx = step * (double)column - x, dy = step * (double)row - y;
-            found[row * n + column] = sqrt(dx * dx + dy * dy);
+            const double *point = points + 2 * (rows[row * n + columns[node]] * n + columns[node]);
+            double dx = step * (double)column - point[0], dy = step * (double)row - point[1];
+            found[node] = sqrt(dx * dx + dy * dy);
         }
     }
-    for (int64_t i = 0; i < spans; i++)
-        for (int64_t column = covered[3 * i + 1]; column < covered[3 * i + 2]; column++)
-            found[covered[3 * i] * n + column] = 0.0;
     return 0;
 }
 

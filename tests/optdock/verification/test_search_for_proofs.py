@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import os
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.sparse import csgraph
 
 from experiments.fuzz.case import rng_of
 from optdock import kernels
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.impossibility import connectivity_graph, footprint_discs, obstacle_lattice, proof
 from optdock.kernels import using_kernels
 
@@ -50,19 +52,19 @@ def nodes_at(covered, points, step, count):
 
 
 @pytest.mark.parametrize("number", range(40))
-def test_distances_on_the_lattice_are_those_of_a_distance_transform(lane, number):
+def test_distances_on_the_lattice_are_those_of_a_distance_transform(number):
     covered, points, step, count = drawn_sites(rng_of("lattice", 1, number))
     points = np.rint(points / step) * step
-    found = obstacle_lattice._to_obstacles(covered, points, step, count, no_look)
+    found = obstacle_lattice.to_obstacles(covered, points, step, count, no_look)
     sites = nodes_at(covered, points, step, count)
     expected = step * ndimage.distance_transform_edt(~sites) if sites.any() else np.full(sites.shape, np.inf)
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("number", range(20))
-def test_distances_are_never_below_the_distance_of_the_nearest_sample(lane, number):
+def test_distances_are_never_below_the_distance_of_the_nearest_sample(number):
     _, points, step, count = drawn_sites(rng_of("lattice", 2, number))
-    found = obstacle_lattice._to_obstacles(np.zeros((0, 3), dtype=np.int64), points, step, count, no_look)
+    found = obstacle_lattice.to_obstacles(np.zeros((0, 3), dtype=np.int64), points, step, count, no_look)
     nodes = step * np.stack(np.meshgrid(np.arange(count), np.arange(count)), axis=-1)
     apart = np.hypot(*np.moveaxis(nodes[..., None, :] - points, -1, 0))
     nearest = apart.min(axis=-1, initial=np.inf)
@@ -138,6 +140,35 @@ def polygon(rng):
     return np.stack((radii * np.cos(angles), radii * np.sin(angles)), axis=1)
 
 
+def drawn_lattice(rng):
+    """Draw polygons, squares along the axes with corners at nodes among them, and a lattice that cuts some of them."""
+    count, step, corner = int(rng.integers(2, 50)), float(rng.choice([0.05, 0.1, 0.17])), rng.uniform(-1.0, 0.0, 2)
+    corner = np.rint(corner / step) * step if rng.random() < 0.5 else corner
+    angles = (np.sort(rng.uniform(-np.pi, np.pi, int(rng.integers(3, 12)))) for _ in range(int(rng.integers(0, 6))))
+    drawn = [np.stack((np.cos(one), np.sin(one)), axis=1) + rng.uniform(-2.0, 4.0, 2) for one in angles]
+    for _ in range(int(rng.integers(0, 4))):
+        low = np.rint(rng.uniform(-1.0, 3.0, 2) / step) * step
+        drawn.append(low + step * int(rng.integers(1, 20)) * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
+    world = ObstacleSet.from_polygons(drawn)
+    return obstacle_lattice.ObstacleLattice(SimpleNamespace(all_obstacles=world), corner, no_look), corner, step, count
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_lattice_is_as_far_from_obstacles_as_shapely_says(lane, number):
+    import shapely
+
+    lattice, corner, step, count = drawn_lattice(rng_of("lattice", 3, number))
+    found = lattice.distances(corner, step, count)
+    nodes = shapely.points(*(corner + step * np.stack(np.meshgrid(*2 * [np.arange(count)]), axis=-1)).reshape(-1, 2).T)
+    here = shapely.box(*corner, *(corner + step * (count - 1)))
+    world = shapely.union_all([shapely.Polygon(one) for one in lattice.vertices])
+    seen = shapely.intersection(world, here)
+    assert np.all(found[shapely.contains_properly(world.buffer(-1e-9), nodes).reshape(count, count)] == 0.0)
+    exact = shapely.distance(seen, nodes).reshape(count, count) if not seen.is_empty else np.full_like(found, np.inf)
+    assert np.all(found >= exact - 1e-9)
+    assert np.all((found <= exact + np.sqrt(2.0) * step + 1e-9) | np.isinf(exact))
+
+
 NATIVE_AND_TWIN = pytest.mark.skipif("audit" not in LANES, reason="no C compiler")
 
 
@@ -146,7 +177,8 @@ NATIVE_AND_TWIN = pytest.mark.skipif("audit" not in LANES, reason="no C compiler
 def test_both_lanes_are_equal_to_the_last_bit(number):
     """A kernel that differs in its first call is replaced by its twin, which would then be compared with itself."""
     rng = rng_of("proof lanes", 1, number)
-    sites, kinds = drawn_sites(rng), rng.integers(0, 3, rng.integers(1, 12, 3))
+    lattice, corner, step, count = drawn_lattice(rng)
+    kinds = rng.integers(0, 3, rng.integers(1, 12, 3))
     (joints, costs), discs, headings = drawn_graph(rng), int(rng.integers(1, 6)), int(rng.integers(1, 5))
     distance, at = rng.uniform(0.0, 2.0, 400), rng.integers(100, 300, 9)
     shift = rng.integers(-100, 100, (headings, discs))
@@ -157,7 +189,7 @@ def test_both_lanes_are_equal_to_the_last_bit(number):
         with using_kernels(one):
             results.append(
                 (
-                    obstacle_lattice._to_obstacles(*sites, no_look),
+                    obstacle_lattice._distances(lattice, corner, step, count),
                     *obstacle_lattice.least_and_most(distance, at, shift, 0.1 * np.arange(discs), 0.2 * np.ones(discs)),
                     *connectivity_graph.connected_cells(kinds),
                     connectivity_graph.predecessors(joints, costs, START, GOAL, is_minimax=False),
