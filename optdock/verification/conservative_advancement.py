@@ -53,7 +53,7 @@ _CHEAP = 48  # cells: smaller rounds take almost the same time, so a few open ce
 _MAX_POSES = 60_000  # added by refinement
 _WORTHWHILE = 0.7  # fraction of near obstacles above which cropping takes longer than it saves
 _MOST_QUICK = 2000  # cells of a round of a proof that does not poll the deadline
-_MOST_PAIRS = 100_000  # of poses, obstacles and bodies in a round of such a proof, about a millisecond
+_MOST_PAIRS = 50_000  # of poses, obstacles and bodies in a round of such a proof, less than a millisecond
 _CROP = 1.0  # [m]: obstacles farther from the swept area are evaluated only if no other is as near
 
 
@@ -119,7 +119,7 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
         begun = Begun(problem.start, known)
     motion, rule = PathMotion(path), Rule(problem.path_clearance, begun.clearance, start_relief)
     world = World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule)
-    if kernels_lane() != "twin" and _may_be_quick(motion, world) and not is_late():
+    if kernels_lane() != "twin" and not is_late():
         quick = _quick(motion, world, known, sharp=sharp)
         if quick is not None:
             return quick
@@ -176,18 +176,6 @@ def _reach(world: World, step: float, crop: float) -> float:
     return world.footprint.circumscribed_radius + step + crop + world.rule.kept.required
 
 
-def _room(motion: PathMotion) -> int:
-    """Return the largest number of cells in a round of a quick proof, more than twice the number of first cells."""
-    pieces = motion.pieces
-    assert pieces is not None
-    return 2 * (int(motion.path.length / _MAX_STEP) + 2 * len(pieces.table)) + 64
-
-
-def _may_be_quick(motion: PathMotion, world: World) -> bool:
-    corners = packed_footprint(world.footprint).corners, world.obstacles.vertices.shape[1]
-    return motion.pieces is not None and _room(motion) <= _MOST_QUICK and not skips_edges(*corners)
-
-
 def _quick(motion: PathMotion, world: World, known: float, *, sharp: bool) -> ClearanceProof | None:
     """Return the proof of a path that is proven within a millisecond or so, and None for others.
 
@@ -197,7 +185,11 @@ def _quick(motion: PathMotion, world: World, known: float, *, sharp: bool) -> Cl
         known: Clearance of a pose of the path [m], or inf.
         sharp: See `prove_clearance`.
     """
-    first = _quick_chosen(motion, world, known, _CROP, sharp=sharp)
+    pieces, corners = motion.pieces, world.obstacles.vertices.shape[1]
+    if pieces is None or skips_edges(packed_footprint(world.footprint).corners, corners):
+        return None
+    room = 2 * (int(motion.path.length / _MAX_STEP) + 2 * len(pieces.table)) + 64  # more than twice the first cells
+    first = _quick_chosen(motion, world, room, known, _CROP, sharp=sharp) if room <= _MOST_QUICK else None
     if first is None:
         return None
     found, evaluated, at_end = first
@@ -205,7 +197,7 @@ def _quick(motion: PathMotion, world: World, known: float, *, sharp: bool) -> Cl
         return found
     if not sharp:
         return _of_all(found, world.rule.kept)
-    sharper = _quick_chosen(motion, world, np.inf, at_end, sharp=sharp)
+    sharper = _quick_chosen(motion, world, room, np.inf, at_end, sharp=sharp)
     return None if sharper is None else sharper[0]
 
 
@@ -213,10 +205,10 @@ _KERNEL = Kernel("optdock_clearance_proof", sizes=13, numbers=6)
 
 
 def _quick_native(
-    motion: PathMotion, world: World, known: float, crop: float, *, sharp: bool
+    motion: PathMotion, world: World, room: int, known: float, crop: float, *, sharp: bool
 ) -> tuple[ClearanceProof, int, float] | None:
     """Return the result of `_quick_chosen`, computed in C; its arrays are described there."""
-    pieces, rocks, robot, room = motion.pieces, world.obstacles, packed_footprint(world.footprint), _room(motion)
+    pieces, rocks, robot = motion.pieces, world.obstacles, packed_footprint(world.footprint)
     assert pieces is not None
     (m, q, _), bodies, segments, breaks = rocks.vertices.shape, len(robot.sizes), len(pieces.kinds), len(pieces.table)
     pairs = min(_MOST_PAIRS, 2 * room * m * bodies)
@@ -253,9 +245,12 @@ def _quick_native(
 
 @twin_of(_quick_native)
 def _quick_chosen(
-    motion: PathMotion, world: World, known: float, crop: float, *, sharp: bool
+    motion: PathMotion, world: World, room: int, known: float, crop: float, *, sharp: bool
 ) -> tuple[ClearanceProof, int, float] | None:
     """Return the proof among near obstacles, their number, and the clearance at the end if `sharp`, otherwise inf.
+
+    `room`: largest number of cells of a round. `known`: clearance of a pose of the path [m], or inf. `crop`: see
+    `_Subdivision`.
 
     Return None if a pose violates the rule, a cell or the end is in contact, no obstacle is near, or the kernel has too
     little memory for the rounds.
@@ -266,7 +261,7 @@ def _quick_chosen(
         last = run.ends[1].poses[-1:]
         at_end = float(compiled_clearances(last, world.footprint, world.obstacles)[0][0])
         run.attained = min(known, at_end)
-    found = run.quick(_room(motion)) if at_end >= 0.0 and len(run.near) else None
+    found = run.quick(room) if at_end >= 0.0 and len(run.near) else None
     return None if found is None else (found, len(run.near), at_end)
 
 

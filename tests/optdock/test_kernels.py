@@ -193,7 +193,7 @@ def test_quick_proofs_of_both_lanes_are_equal(name, body, aside):
     world = World(BODIES[body], rocks, motion.path.end, motion.path.start, rule)
     for sharp, crop in ((True, 1.0), (False, 1.0), (True, 50.0)):
         twin, native = both_lanes(
-            lambda s=sharp, c=crop: conservative_advancement._quick_chosen(motion, world, 0.6, c, sharp=s)
+            lambda s=sharp, c=crop: conservative_advancement._quick_chosen(motion, world, 400, 0.6, c, sharp=s)
         )
         assert (twin is None) == (native is None)
         assert (twin is None) == (aside > crop + 1.0) or aside == 0.0
