@@ -23,9 +23,8 @@ from optdock.model.robot import TrackingTube
 from optdock.model.trajectory import Trajectory
 from optdock.verification.certificate import TOLERANCE, Certificate, Memo, TrajectoryCertificate, where_broken
 from optdock.verification.certify import certify_motion, certify_path
-from optdock.verification.clearance_kernel import end_clearances
+from optdock.verification.clearance_kernel import compiled_clearances, end_clearances
 from optdock.verification.conservative_advancement import Begun, prove_clearance
-from optdock.verification.proximity import pose_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,8 +42,6 @@ __all__ = [
     "proven_way",
     "unchanged_way",
 ]
-
-_SPACING = 0.05  # [m] between the points of a path around which obstacles are selected
 
 
 Content = TypeVar("Content")
@@ -257,7 +254,8 @@ def prove_way(
     start, place, footprint = path.start, path.pose_at(at), problem.robot.footprint
     weaker = False
     if begun is None:
-        begun, start_relief = Begun(start, pose_clearance(start, footprint, problem.all_obstacles)[0]), 0.0
+        clearances, _ = compiled_clearances(start.as_array()[None], footprint, problem.all_obstacles)
+        begun, start_relief = Begun(start, float(clearances[0])), 0.0
         weaker = begun.clearance < problem.path_clearance.required
     pose = pose or start
     off = footprint.displacement(pose, place)
@@ -274,18 +272,14 @@ def prove_way(
 
 def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float) -> str:
     """Return a message that locates the point where clearance is not proven; empty if clearance is proven."""
-    rule = problem.path_clearance
-    count = max(2, int(np.ceil(path.length / _SPACING)) + 1)
-    places = path.poses_at(np.linspace(0.0, path.length, count))[:, :2]
-    reach = problem.robot.footprint.circumscribed_radius + rule.required + _SPACING
-    near = problem.all_obstacles.near(places, reach)
-    proof = prove_clearance(path, problem, start_relief=relief, obstacles=near, begun=begun, sharp=False)
+    proof = prove_clearance(path, problem, start_relief=relief, begun=begun, sharp=False)
     if proof.holds:
         return ""
     if not len(proof.violations):
         return "the clearance of the path is not proven"
     s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
-    return f"{clearance:.4f} m from {in_words(near.name_of(int(row)))} after {s:.3f} m, required {required:.4f} m"
+    nearest = in_words(problem.all_obstacles.name_of(int(row)))
+    return f"{clearance:.4f} m from {nearest} after {s:.3f} m, required {required:.4f} m"
 
 
 def _not_clear_by(
