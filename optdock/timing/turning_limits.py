@@ -71,7 +71,8 @@ class TurningLimit(NamedTuple):
         """
         power, factor = (1.0, bend) if self.order == 1 else (v, 2.0 * v * bend)
         spare = (self.bound - power * (v * v) * rate) * share
-        ceiling: FloatArray = np.divide(spare, factor, out=np.full(bend.size, np.inf), where=factor > 0.0)
+        with np.errstate(over="ignore"):  # on a nearly straight line
+            ceiling: FloatArray = np.divide(spare, factor, out=np.full(bend.size, np.inf), where=factor > 0.0)
         return ceiling
 
     def arc_acceleration(self, v: float, jerk: float, bend: float, share: float) -> float:

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from experiments.families import FEASIBLE_FAMILIES, instance
@@ -87,6 +87,8 @@ def rest_to_rest(path, speed=0.3, acceleration=0.15, jerk=0.5, period=0.02):
 
 
 @settings(max_examples=15)
+@example(5e-324, 1.0, 0.7, 0.02, None)
+@example(-1e-310, 0.5, 1.2, 0.02, 6)
 @given(
     st.floats(-1.5, 1.5),
     st.floats(0.3, 2.0),
