@@ -19,6 +19,10 @@ ROS_SUFFIX := $(addprefix -,$(filter-out kilted,$(ROS_DISTRO)))
 ROS_VENV := .venv-ros$(ROS_SUFFIX)
 ROS_BIN := $(ROS_VENV)/bin
 ROS_WHEELS := ros/requirements$(ROS_SUFFIX).txt
+# Left out on other distributions than Kilted, because it is the same there: the loop of control uses threads alone, and
+# the others test the tools of the tests, and the commands and tables of the documentation. What exchanges messages,
+# services, actions, parameters or transforms is tested on every distribution. `ROS_LEFT_OUT=` leaves nothing out.
+ROS_LEFT_OUT := $(if $(ROS_SUFFIX),test_control_loop test_docs test_harness)
 ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml $(ROS_WHEELS) \
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
@@ -93,8 +97,8 @@ test-aarch64: kernels
 
 unit: $(STAMP)
 	$(BIN)/python -m optdock.build_kernels || echo "no kernels in C: the tests run with NumPy alone"
-	$(BIN)/python -m pytest -q -n 2 tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
-	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
+	$(BIN)/python -m pytest -q -n 2 --doctest-modules optdock smoothers checkers
 
 test: check unit
 
@@ -154,7 +158,8 @@ ros-demo: ros-env
 # The types are those of the newer NumPy and rclpy.
 test-ros: ros-env
 	$(if $(ROS_SUFFIX),,$(ROS_BIN)/mypy --config-file ros/mypy.ini)
-	$(ROS_BIN)/python .ci/retry.py --beside "-n $(ROS_WORKERS) --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
+	$(ROS_BIN)/python .ci/retry.py --beside "-n $(ROS_WORKERS) --dist loadfile" -- -q -c ros/tests/pytest.ini \
+		$(ROS_LEFT_OUT:%=--ignore=ros/tests/%.py) ros/tests
 
 bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done

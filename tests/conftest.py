@@ -70,10 +70,15 @@ def is_installed(kind):
 warm_up_installed_plugins_once()
 
 
+# What is imported and collected stays: garbage collections would look at all of it again and again.
+gc.disable()
+
+
 def pytest_collection_finish():
-    """Exclude what was imported from garbage collections, which look at all of it again and again."""
+    """Collect garbage from here on, but not among what was imported."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

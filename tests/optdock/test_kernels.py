@@ -17,7 +17,7 @@ from experiments.fuzz.case import rng_of
 from experiments.fuzz.generators.shapes import obstacle
 from experiments.fuzz.kinds.kernels import DEGENERATE, draw, drawn_shapes, drawn_stretches, is_equal, judge
 from optdock import kernels
-from optdock.build_kernels import ABOUT, FLAGS, BuildFailed, build, digest_of, kernel_sources
+from optdock.build_kernels import ABOUT, FLAGS, LIBRARY, BuildFailed, build, digest_of, kernel_sources
 from optdock.deadline import TICK, budget_clock, now
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
@@ -457,7 +457,7 @@ def test_a_changed_source_needs_a_new_library(tmp_path):
     for source in kernel_sources(ROOT):
         (tmp_path / source).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / source, tmp_path / source)
-    library = build(tmp_path)
+    library = ROOT / LIBRARY
     assert load_library(library, tmp_path).handle is not None
     changed = tmp_path / kernel_sources(ROOT)[1]
     changed.write_text(changed.read_text() + "\n")

@@ -115,7 +115,8 @@ def test_a_plan_does_not_overwrite_files_of_the_survey(finished):
 
 
 def test_docks_of_a_database(folder, tmp_path):
-    result = run(folder / "free.yaml", "--docks", folder / "docks.yaml", "--out", tmp_path / "out", *SMALL)
+    region = ("--region", "0.75,0.25,1.25,0.75", *SMALL[2:])
+    result = run(folder / "free.yaml", "--docks", folder / "docks.yaml", "--out", tmp_path / "out", *region)
     assert result.exit_code == 0, result.output
     rows = json.loads((tmp_path / "out" / "survey.json").read_text())["docks"]
     assert {row["dock"]: row["pose"] for row in rows} == {"left/1": [3.0, 0.5, 0.0], "right": [3.0, 0.0, 0.0]}

@@ -21,7 +21,8 @@ from optdock.survey.table import columns_of
 from tests.optdock.runner.test_runner import Cluster
 from tests.optdock.survey.scenes import BACK_STATION, box, scenario
 
-SETTINGS = SurveySettings(within=2.1, resolution=0.25, headings=2, time_budget=0.1)
+# Cells of 0.5 m: the survey of the room has answers of every method.
+SETTINGS = SurveySettings(within=2.1, resolution=0.5, headings=2, time_budget=0.1)
 GIVEN = scenario(box(1.9, 0, 2.1, 3))
 
 
@@ -121,6 +122,7 @@ def test_a_survey_with_a_missing_outcome_is_not_finished(whole, tmp_path):
 def test_the_columns_are_the_answers(whole):
     folder, found = whole
     answers, table = found.answers, table_of(folder)
+    assert {"measured", "proven", "planned", "inherited", "deformed"} <= set(answers.method)
     rows = np.flatnonzero(answers.verdict > CellState.UNKNOWN)
     assert set(table["robot"]) == {"robot"}
     assert set(table["dock"]) == {"dock"}
@@ -203,7 +205,7 @@ def test_names_of_files_stay_in_the_folder_and_differ():
 
 def test_docks_with_strange_names_are_written_and_opened(tmp_path):
     """The best dock is the first; every scenario begins in its dock."""
-    out, settings = tmp_path / "out", dataclasses.replace(SETTINGS, region=Box(2.5, 1.25, 2.75, 1.5))
+    out, settings = tmp_path / "out", dataclasses.replace(SETTINGS, region=Box(2.5, 1.25, 2.75, 1.5), resolution=0.25)
     found = surveyed(out, given=scenario(), settings=settings, names=("../x", "a/b", "a b"))
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
     assert len(list(out.glob("*.yaml"))) == 3
@@ -221,7 +223,7 @@ def test_docks_are_sorted_by_the_certified_share(tmp_path):
     """A dock in a closed part of the room is reached from nowhere."""
     given = scenario(box(3.0, 0.6, 3.1, 2.4), box(3.0, 0.6, 4, 0.7), box(3.0, 2.3, 4, 2.4))
     places = [DockPlace("closed", given.problem.goal), DockPlace("open", Pose2(1.5, 2.6, math.pi / 2))]
-    settings = dataclasses.replace(SETTINGS, region=Box(1.0, 1.0, 1.5, 1.5))
+    settings = dataclasses.replace(SETTINGS, region=Box(1.0, 1.0, 1.5, 1.5), resolution=0.25)
     with one_process() as workers:
         found = run_survey(list(docks_of("robot", given, places)), settings, tmp_path, workers)
     assert [(one.surveyed.dock, one.summary.certified > 0) for one in found] == [("open", True), ("closed", False)]
@@ -263,7 +265,7 @@ def test_without_pyarrow_nothing_is_computed(tmp_path, monkeypatch):
 
 def test_a_backward_dock_is_surveyed(tmp_path):
     given = scenario(goal=Pose2(3.6, 1.5, math.pi), station=BACK_STATION, direction="backward")
-    settings = dataclasses.replace(SETTINGS, region=Box(2.0, 1.25, 2.5, 1.75))
+    settings = dataclasses.replace(SETTINGS, region=Box(2.0, 1.25, 2.5, 1.75), resolution=0.25)
     (found,) = surveyed(tmp_path, given=given, settings=settings)
     assert found.summary.share == 1.0
     assert "certified from 100.0 % of" in str(found.summary)
