@@ -29,6 +29,7 @@ from optdock.kernels import Kernel, twin_of
 from optdock.model.path import Path
 from optdock.model.segments import ClothoidSegment, TurnSegment
 from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
+from optdock.verification import TOLERANCE, compiled_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,12 +41,13 @@ if TYPE_CHECKING:
     from optdock.model.segments import Segment
     from optdock.verification import Violation
 
-__all__ = ["Push", "deformed", "push_off"]
+__all__ = ["Push", "deformed", "push_off", "pushes_off"]
 
 _ROOM = 0.005  # [m]: additional distance of a push, because the nearest point moves along the path
 _CLOSED = 2e-7  # [m], [rad]: a fifth of the certificate's tolerance
 _FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
 _PUSHED = 1e-4  # [m]: tolerance of pushes
+_SPACING = 0.02  # [m] between the poses whose clearance is checked
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
 _LEAST_PIECES = 12  # of a gear
 _SHORTEST_PIECE = 0.01  # [m]: shorter pieces are not divided
@@ -153,10 +155,9 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot, unit normal away from the obstacle, Shape (2,), and missing clearance [m]."""
+    """Derivatives of the clearance by all variables, Shape (m + n,), and missing clearance [m]."""
 
-    place: _Place
-    normal: FloatArray
+    moves: FloatArray
     short: float
 
 
@@ -235,6 +236,7 @@ class _Drive(NamedTuple):
 
 _POSES = Kernel("optdock_deformed_poses", sizes=2, numbers=0)
 _MOVES = Kernel("optdock_deformation_moves", sizes=3, numbers=6)
+_CONTACT = Kernel("optdock_deformation_contact", sizes=5, numbers=3)
 
 
 def _driven_native(gears: _Gears, start: FloatArray) -> _Drive:
@@ -345,6 +347,22 @@ def _pose_at(gears: _Gears, drive: _Drive, gear: int, share: float) -> tuple[Flo
     return pose + np.array([along, across, step * (bend + 0.5 * step * slope)]), driven
 
 
+def _contact_native(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
+    (m, n), (v, k) = (gears.signs.size, gears.knots.size), (len(push.body.vertices), len(push.piece.x))
+    moves, short = np.empty((3, m + n)), np.empty(1)
+    arrays = (
+        *zip(gears, (m, m, m, m + 1, n, n), strict=True),
+        *zip(drive, (3 * m + 3, 3 * n, 6 * n), strict=True),
+        *zip(push.body, (2 * v, 2 * v, v), strict=True),
+        *((part, k) for part in push.piece),
+        *((_BORDERS, 4), (_WEIGHTS, 3), (_PLACES, _PLACES.size), (_RULE, _RULE.size)),
+        *((np.empty((v + k, 2)), 2 * (v + k)), (moves, moves.size), (short, 1)),
+    )
+    _CONTACT((m, n, push.gear, v, k), (push.share, push.distance, _FLAT), arrays)
+    return _Contact(moves[0], short.item())
+
+
+@twin_of(_contact_native)
 def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
     """Return the contact of a push on the current path."""
     pose, driven = _pose_at(gears, drive, push.gear, push.share)
@@ -363,7 +381,8 @@ def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
     place = _Place(
         (float(point[0]), float(point[1])), push.gear, push.share, driven, (float(robot[0]), float(robot[1]))
     )
-    return _Contact(place, normal, push.distance - float(found.distance[0]))
+    moves = _moves(gears, drive, place)
+    return _Contact(normal[0] * moves[0] + normal[1] * moves[1], push.distance - float(found.distance[0]))
 
 
 def _rates_at_speed(knots: FloatArray, limits: MotionLimits, speed: float) -> FloatArray:
@@ -451,7 +470,7 @@ class _Program:
         most = np.minimum(self.most_rates, UNBOUNDED)
         lower[self.size + at], upper[self.size + at] = -most - rates, most - rates
         for row, contact in enumerate(contacts, self.pushed):
-            rows[row] = contact.normal @ _moves(gears, drive, contact.place)[:2]
+            rows[row] = contact.moves
             lower[self.size + row] = contact.short
         found = minimizer(
             QuadraticProgram(self.price, np.zeros(self.size), rows, self.bounds, self.size, self.active, self.dense)
@@ -489,17 +508,39 @@ class _Program:
 
 def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
     """Return the push that moves the robot away from the obstacle of a clearance violation."""
-    pose = path.poses_at(violation.s)[0]
-    reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
-    near = problem.all_obstacles.near(pose[None, :2], reach)
-    rows = np.arange(len(near))
-    poses = np.tile(pose, (rows.size, 1))
-    body, found = min(
-        ((body, separation(body, poses, near.pieces(rows))) for body in problem.robot.footprint.bodies),
-        key=lambda one: float(one[1].distance.min()),
+    pose = path.poses_at(violation.s)
+    clearance, row = compiled_clearances(pose, problem.robot.footprint, problem.all_obstacles)
+    return _push(violation.s, float(clearance[0]) + violation.amount, pose[0], int(row[0]), path, problem)
+
+
+def pushes_off(path: Path, problem: DockingProblem) -> list[Push]:
+    """Return a push for every stretch of a path whose samples are too close to one obstacle, at the worst sample.
+
+    Next to a start that is too close itself, the weaker rule of the certificate applies.
+    """
+    s = np.linspace(0.0, path.length, 2 + int(path.length / _SPACING))
+    poses, rule, room = path.poses_at(s), problem.path_clearance, problem.path_clearance.required + _ROOM
+    clearance, row = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, room)
+    from_goal, from_start = (np.hypot(*(poses[:, :2] - (end.x, end.y)).T) for end in (problem.goal, problem.start))
+    relief = problem.start_run if clearance[0] < rule.required else 0.0
+    required = rule.required_at(from_goal, from_start, float(clearance[0]), relief)
+    missing = required - clearance
+    short = np.flatnonzero(missing > TOLERANCE)
+    borders = np.flatnonzero((np.diff(short) > 1) | (np.diff(row[short]) != 0)) + 1
+    worst = [int(some[missing[some].argmax()]) for some in np.split(short, borders)] if short.size else []
+    return [_push(float(s[k]), float(required[k]), poses[k], int(row[k]), path, problem) for k in worst]
+
+
+def _push(  # noqa: PLR0913
+    at: float, required: float, pose: FloatArray, row: int, path: Path, problem: DockingProblem
+) -> Push:
+    """Return the push for the pose at an arc length [m], off the obstacle in a row, with more than the required clearance [m]."""
+    piece, bodies = problem.all_obstacles.pieces(np.array([row])), problem.robot.footprint.bodies
+    body = (
+        min(bodies, key=lambda one: float(separation(one, pose[None], piece).distance[0]))
+        if len(bodies) > 1
+        else bodies[0]
     )
-    row = int(np.argmin(found.distance))
-    distance = float(found.distance[row]) + violation.amount + _ROOM
-    gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
-    share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
-    return Push(gear, min(max(share, 0.0), 1.0), body, near.pieces(np.array([row])), distance)
+    gear = int(np.clip(np.searchsorted(path.segment_starts, at, side="right") - 1, 0, len(path.segments) - 1))
+    share = (at - float(path.segment_starts[gear])) / path.segments[gear].length
+    return Push(gear, min(max(share, 0.0), 1.0), body, piece, required + _ROOM)

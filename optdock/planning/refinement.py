@@ -28,7 +28,7 @@ from optdock.errors import (
 from optdock.geometry.pose import Pose2
 from optdock.model.path import Path
 from optdock.model.trajectory import Trajectory
-from optdock.planning.deformation import Push, deformed, push_off
+from optdock.planning.deformation import Push, deformed, push_off, pushes_off
 from optdock.planning.guess_edits import begun_straight, straight_along_contact
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plugins.interfaces import (
@@ -229,11 +229,15 @@ class Refinement:
             if moved is None or self.asked_to_stop():
                 break
             path = moved
-            with self.timed("certify"):
-                certificate = certify_path(path, problem, is_late=self.asked_to_stop)
-            if any(violation.kind != "clearance" for violation in certificate.violations) or certificate.certified:
-                break
-            pushes.append(push_off(certificate.violations[0], path, problem))
+            with self.timed("deform"):
+                more = pushes_off(path, problem)
+            if not more:
+                with self.timed("certify"):
+                    certificate = certify_path(path, problem, is_late=self.asked_to_stop)
+                if any(violation.kind != "clearance" for violation in certificate.violations) or certificate.certified:
+                    break
+                more = [push_off(certificate.violations[0], path, problem)]
+            pushes += more
             longest = max(longest, self.deadline.elapsed - began)
         return path, certificate
 
