@@ -57,7 +57,11 @@ _USED = 0.999  # share of the bounds that the program uses
 _SLOW = 0.3  # least speed in a bend as share of the speed at the start
 _USED_BY_BENDS = 0.8  # share of the yaw acceleration for bends; the rest is for acceleration in them
 _LEAST_TURN = 1e-3  # [rad]: smaller turns in place vanish
-_MOST_STRETCH = 0.3  # largest relative change of length per step, for the validity of the linear model
+_MOST_STRETCH = 0.3  # largest change of the logarithm of a length per step, for the validity of the linear model
+# Shortening: most steps; relative change of the length in the last step; largest change of the logarithm of a length
+# per step, halved where the next step fails; price of a metre, which is high enough for such changes.
+_SHORTENINGS, _SAME_LENGTH, _MOST_SHORTENED, _LENGTH_GAIN = 8, 0.01, 0.9, 10.0
+_SHORTEST_GEAR = 2.05 * _SHORTEST_PIECE  # shorter gears cannot be deformed again
 _USUAL_SWING = 0.25  # [m]: length over which the curvature changes by its bound, without a limit of its rate
 # Three Gauss points on [0, 1]: exact for a hat function times a quadratic. The positions at these points and at the end
 # of the piece are integrated from one to the next by four Gauss points on [-1, 1].
@@ -84,6 +88,16 @@ class _Gears(NamedTuple):
     first: IntArray
     knots: FloatArray
     curvature: FloatArray
+
+    @property
+    def ends(self) -> FloatArray:
+        """Lengths of the gears before their straight lines, 0 for turns in place, Shape (m,) [m]."""
+        return self.knots[self.first[1:] - 1] * (self.signs != 0.0) if self.knots.size else np.zeros(self.signs.size)
+
+    @property
+    def length(self) -> float:
+        """Sum of these lengths [m]."""
+        return float(self.ends.sum())
 
     @classmethod
     def of(cls, path: Path, final_straight: float) -> _Gears | None:
@@ -172,6 +186,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     speed: float = 0.0,
     least: float = 0.0,
     pushes: Sequence[Push] = (),
+    shortens: bool = False,
 ) -> Path | None:
     """Return a path near `path` from `start` to `goal` in the same gears, or None if no such path is within the bounds.
 
@@ -189,25 +204,33 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
             and steering rate bound the curvature rate.
         least: Least length of the first segment, in which the robot stops if more segments follow [m].
         pushes: Required distances from obstacles.
+        shortens: Whether the gears are first shortened as far as the bounds permit, from a path that is longer than
+            necessary.
     """
     gears = _Gears.of(path, final_straight)
     if gears is None:
         return None
     program, begin = _Program(gears, limits, speed, len(pushes), steers=steers), start.as_array()
-    program.least = least
-    for _ in range(_STEPS):
+    program.least, length, before = least, math.inf, None
+    for step in range(_SHORTENINGS + _STEPS if shortens else _STEPS):
         if program.has_vanished(gears):
             return None
+        shortens = shortens and step < _SHORTENINGS and abs(gears.length - length) > _SAME_LENGTH * gears.length
+        length = gears.length
         drive = _driven(gears, begin)
         (x, y, yaw), contacts = drive.borders[-1].tolist(), [_contact(push, gears, drive) for push in pushes]
         gap = goal.x - x, goal.y - y, normalize_angle(goal.yaw - yaw)
         short = max((contact.short for contact in contacts), default=0.0)
-        if max(map(abs, gap)) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
+        is_closed = max(map(abs, gap)) <= _CLOSED and short <= _PUSHED and not shortens
+        if is_closed and program.keeps_bounds(gears):
             return gears.path(start, path.frame)
-        changed = program.with_least_change(gears, drive, gap, contacts)
-        if changed is None:
+        changed = program.with_least_change(gears, drive, gap, contacts, shortens=shortens)
+        if changed is not None:
+            before, gears = gears, changed
+        elif shortens and before is not None:  # the lengths have become too short in one step
+            gears, length, program.most_shortened = before, math.inf, 0.5 * program.most_shortened
+        else:
             return None
-        gears = changed
     return None
 
 
@@ -400,6 +423,7 @@ class _Program:
 
     def __init__(self, gears: _Gears, limits: MotionLimits, speed: float, pushes: int, *, steers: bool) -> None:
         sharpest = float(np.abs(gears.curvature).max(initial=0.0))
+        self.most_shortened = _MOST_SHORTENED
         self.least, self.most = 0.0, limits.max_curvature * _USED
         self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
         rate = limits.max_curvature_rate
@@ -434,10 +458,19 @@ class _Program:
         left = self.left
         return (gears.curvature[left + 1] - gears.curvature[left]) / (gears.knots[left + 1] - gears.knots[left])
 
-    def _shortest(self, gears: _Gears) -> float:
-        """Return the bound of the change of the first gear's length, at most 0."""
-        length, tail = float(gears.knots[gears.first[1] - 1]), float(gears.tails[0])
-        return math.log(min(max(self.least - tail, _SHORTEST_PIECE) / length, 1.0))
+    def _with_bounded_lengths(self, gears: _Gears, *, shortens: bool) -> FloatArray:
+        """Set the bounds of the changes of length; return the linear cost of all variables, Shape (m + n,)."""
+        (lower, upper), slope = self.bounds, np.zeros(self.size)
+        own, ends = self.lengths[~self.is_turn], gears.ends[~self.is_turn]
+        shortest = np.full(own.size, _SHORTEST_GEAR if shortens else 0.0)
+        if gears.signs[0] != 0.0:
+            shortest[0] = max(shortest[0], self.least - float(gears.tails[0]), _SHORTEST_PIECE if self.least else 0.0)
+        most = self.most_shortened if shortens else _MOST_STRETCH
+        lower[own] = np.log(np.minimum(np.maximum(shortest / ends, math.exp(-most)), 1.0))
+        upper[own] = most
+        if shortens:
+            slope[own] = _LENGTH_GAIN * ends
+        return slope
 
     def has_vanished(self, gears: _Gears) -> bool:
         """Whether a turn in place is too small."""
@@ -449,14 +482,12 @@ class _Program:
         return bool(np.all(np.abs(gears.curvature) <= slack * self.most) and np.all(rates <= slack * self.most_rates))
 
     def with_least_change(
-        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: list[_Contact]
+        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: list[_Contact], *, shortens: bool
     ) -> _Gears | None:
         """Return the gears with the change of least cost that closes the gap subject to pushes and bounds, or None."""
         rates, left, curvature = self._rates(gears), self.left, gears.curvature
         (lower, upper), rows, at = self.bounds, self.rows, np.arange(3, self.pushed)
-        room = min(self.most, UNBOUNDED)
-        if self.least > 0.0 and gears.signs[0] != 0.0:
-            lower[self.lengths[0]] = self._shortest(gears)
+        room, slope = min(self.most, UNBOUNDED), self._with_bounded_lengths(gears, shortens=shortens)
         lower[self.bends], upper[self.bends] = -room - curvature, room - curvature
         for knot, value in self.fixed.items():
             lower[self.bends[knot]] = upper[self.bends[knot]] = value - curvature[knot]
@@ -472,15 +503,11 @@ class _Program:
         for row, contact in enumerate(contacts, self.pushed):
             rows[row] = contact.moves
             lower[self.size + row] = contact.short
-        found = minimizer(
-            QuadraticProgram(self.price, np.zeros(self.size), rows, self.bounds, self.size, self.active, self.dense)
-        )
+        found = minimizer(QuadraticProgram(self.price, slope, rows, self.bounds, self.size, self.active, self.dense))
         if found is None:
             return None
         self.active, change = found.active, found.solution
         stretch = change[self.lengths]
-        if np.any(np.abs(stretch[~self.is_turn]) > _MOST_STRETCH):
-            return None
         turns = gears.turns + np.where(self.is_turn, stretch, 0.0)
         knots = gears.knots * np.exp(stretch)[self.owner]
         return gears._replace(turns=turns, knots=knots, curvature=curvature + change[self.bends])
@@ -499,8 +526,7 @@ class _Program:
         values = _BEND_PRICE * width / self.scale**2
         values[first] += swing
         values[first + 1] += swing
-        ends = gears.knots[gears.first[1:] - 1] if gears.knots.size else np.zeros(gears.signs.size)
-        values[self.lengths] = np.where(self.is_turn, 1.0, _LENGTH_PRICE * ends)
+        values[self.lengths] = np.where(self.is_turn, 1.0, _LENGTH_PRICE * gears.ends)
         np.fill_diagonal(price, values)
         price[first, first + 1] = price[first + 1, first] = -swing
         return price
@@ -531,10 +557,8 @@ def pushes_off(path: Path, problem: DockingProblem) -> list[Push]:
     return [_push(float(s[k]), float(required[k]), poses[k], int(row[k]), path, problem) for k in worst]
 
 
-def _push(  # noqa: PLR0913
-    at: float, required: float, pose: FloatArray, row: int, path: Path, problem: DockingProblem
-) -> Push:
-    """Return the push for the pose at an arc length [m], off the obstacle in a row, with more than the required clearance [m]."""
+def _push(at: float, required: float, pose: FloatArray, row: int, path: Path, problem: DockingProblem) -> Push:
+    """Return the push of the pose at an arc length [m] off the obstacle in a row; `required`: clearance [m]."""
     piece, bodies = problem.all_obstacles.pieces(np.array([row])), problem.robot.footprint.bodies
     body = (
         min(bodies, key=lambda one: float(separation(one, pose[None], piece).distance[0]))

@@ -194,7 +194,14 @@ class Refinement:
         return replace(plan, completed=result.completed, smoothing_report=report)
 
     def deformed(
-        self, path: Path, most_pushes: int, *, steers: bool = True, speed: float = 0.0, least: float = 0.0
+        self,
+        path: Path,
+        most_pushes: int,
+        *,
+        steers: bool = True,
+        speed: float = 0.0,
+        least: float = 0.0,
+        shortens: bool = False,
     ) -> tuple[Path, Certificate | None]:
         """Deform the rest of a path to the start of the problem, and push it off obstacles that are too close.
 
@@ -204,6 +211,7 @@ class Refinement:
             steers: As in `deformation.deformed`.
             speed: As in `deformation.deformed` [m/s].
             least: As in `deformation.deformed` [m].
+            shortens: As in `deformation.deformed`, before the first push.
 
         Returns:
             The last deformed path with its certificate; `path` itself and None if it cannot be deformed.
@@ -225,6 +233,7 @@ class Refinement:
                     speed=speed,
                     least=least,
                     pushes=pushes,
+                    shortens=shortens and not pushes,
                 )
             if moved is None or self.asked_to_stop():
                 break

@@ -18,7 +18,15 @@ from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.model.trajectory import Trajectory
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.start_states import full_stop
-from optdock.verification import TOLERANCE, WayVerdict, certify_trajectory, pose_clearance, prove_way, unchanged_way
+from optdock.verification import (
+    TOLERANCE,
+    WayVerdict,
+    certify_trajectory,
+    compiled_clearances,
+    prove_way,
+    unchanged_way,
+)
+from optdock.verification.conservative_advancement import Begun
 
 if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits
@@ -74,6 +82,10 @@ class BranchPoint:
     def rest(self) -> Path | None:
         """The remaining path from the pose of the robot, or None if no path remains."""
         return self.path.piece(self.s) if self.s < self.path.length - NO_WAY else None
+
+    def has_more_than(self, straight: float) -> bool:
+        """Whether more gears, or more than a given length [m], are ahead."""
+        return self.path.length - self.s > straight or any(cusp > self.s + NO_WAY for cusp in self.path.cusps)
 
     @functools.cached_property
     def pose(self) -> Pose2:
@@ -138,8 +150,7 @@ class RunningDrive:
         off = footprint.displacement(pose, self.reference)
         if not off <= self.world.robot.tracking.width(footprint):
             return False
-        clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
-        return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
+        return bool(off <= self.world.tube_widths(place.as_array()[None], place, self._clearance(place))[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
         """Return the state after `lead` seconds.
@@ -195,7 +206,16 @@ class RunningDrive:
             known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
             if known is not None:
                 return WayVerdict(known)
-        return prove_way(self.ahead.piece(now.s, joint.s), self.world, self.state.pose)
+        way = self.ahead.piece(now.s, joint.s)
+        clearance = self._clearance(way.start)
+        begun = Begun(way.start, clearance) if clearance >= self.world.path_clearance.required else None
+        return prove_way(way, self.world, self.state.pose, begun=begun)
+
+    def _clearance(self, pose: Pose2) -> float:
+        """Return the clearance of a pose [m]."""
+        return float(
+            compiled_clearances(pose.as_array()[None], self.world.robot.footprint, self.world.all_obstacles)[0][0]
+        )
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
         """Return the current problem with the joint as its start."""
