@@ -46,10 +46,11 @@ from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import Trajectory
 from optdock.planning.backing_up import backed_up
 from optdock.planning.changed_world import StillHolds, still_holds
+from optdock.planning.deformation import Push, pushes_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time, sampled_bounds
-from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
+from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, begun_at, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
@@ -290,7 +291,7 @@ class _Replanning:
 
     def _decided(self, joint: BranchPoint, delay: float, plugins: _Plugins) -> Replanned:
         """Prove the way to the joint and plan from there; on the final straight the old plan is tried before."""
-        why, kept = _AT_THE_END if joint.rest is None else _ON_THE_STRAIGHT, None
+        why, kept = _AT_THE_END if joint.is_at_the_end else _ON_THE_STRAIGHT, None
         is_deformed = joint.has_more_than(self.drive.world.dock.final_straight)
         if not is_deformed:
             kept = self._kept(why)
@@ -349,8 +350,12 @@ class _Replanning:
         """Return a path from the joint, deformed, with its plan if it is certified."""
         problem, stage = work.problem, "backed up" if shortens else "deformed"
         steers, least = problem.start_curvature is not None, joint.braking_distance(problem.robot.limits)
-        speed = abs(joint.speed)
-        guess, certificate = work.deformed(path, _PUSHES, steers=steers, speed=speed, least=least, shortens=shortens)
+        known, pushes = self.drive.plan.problem, list[Push]()
+        if not shortens and (known.obstacles is not problem.obstacles or known.costmap is not problem.costmap):
+            pushes = pushes_off(path, problem)
+        guess, certificate = work.deformed(
+            path, _PUSHES, steers=steers, speed=abs(joint.speed), least=least, pushes=pushes, shortens=shortens
+        )
         if certificate is None or not certificate.certified:
             return guess, None
         return guess, self._attempt(stage, guess, functools.partial(work.proven, guess, guess))
@@ -358,7 +363,7 @@ class _Replanning:
     def _otherwise(self, joint: BranchPoint, guess: Path, work: Refinement) -> DockPlan | None:
         """Return a plan that backs up before the dock, or that of the smoothed guess, or None.
 
-        The smoother is called only for several gears. In one gear, it refused all of 41 guesses whose deformation had
+        The smoother is called only for several gears. In one gear, it refused all of 34 guesses whose deformation had
         failed.
         """
         if isinstance(self.failure, FailedToTimePath):  # a smoothed path could not be timed either
@@ -397,21 +402,21 @@ class _Replanning:
             return None
         world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
         if self.drive.is_on_the_path:
-            found = prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
+            rest = path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY)))
+            found = prove_way(rest, world, begun=begun_at(rest.start, world))
         else:
+            rest = path.piece(min(max(0.0, self.drive.now.s - _NEARBY), max(0.0, path.length - NO_WAY)))
             found = self._goes_back(path, world)
-        if found.way is None or not self._keeps_own_bounds(path):
+        if found.way is None or not self._keeps_own_bounds(rest, path.length - rest.length):
             return None
         tried, timing = tuple(self.tried), self._timing()
         running, plan = self.drive.plan.trajectory, self.drive.plan
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
-    def _keeps_own_bounds(self, path: Path) -> bool:
-        """Whether the rest of the running path satisfies the smoother's own bounds at samples."""
-        now = self.drive.now.s if self.drive.is_on_the_path else self.drive.now.s - _NEARBY
-        begin = min(max(0.0, now), max(0.0, path.length - NO_WAY))
-        before = path.piece(0.0, begin).driven if begin > NO_WAY else 0.0
-        found = sampled_bounds(self.smoother, path.piece(begin), self.drive.world, self.cancelled, before)
+    def _keeps_own_bounds(self, rest: Path, begin: float) -> bool:
+        """Whether the rest of the running path, from `begin` [m], satisfies the smoother's own bounds at samples."""
+        before = self.drive.path.piece(0.0, begin).driven if begin > NO_WAY else 0.0
+        found = sampled_bounds(self.smoother, rest, self.drive.world, self.cancelled, before)
         return all(bound.holds for bound in found)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:

@@ -81,7 +81,12 @@ class BranchPoint:
     @functools.cached_property
     def rest(self) -> Path | None:
         """The remaining path from the pose of the robot, or None if no path remains."""
-        return self.path.piece(self.s) if self.s < self.path.length - NO_WAY else None
+        return None if self.is_at_the_end else self.path.piece(self.s)
+
+    @property
+    def is_at_the_end(self) -> bool:
+        """Whether no path remains."""
+        return self.s >= self.path.length - NO_WAY
 
     def has_more_than(self, straight: float) -> bool:
         """Whether more gears, or more than a given length [m], are ahead."""
@@ -150,7 +155,7 @@ class RunningDrive:
         off = footprint.displacement(pose, self.reference)
         if not off <= self.world.robot.tracking.width(footprint):
             return False
-        return bool(off <= self.world.tube_widths(place.as_array()[None], place, self._clearance(place))[0])
+        return bool(off <= self.world.tube_widths(place.as_array()[None], place, _clearance(place, self.world))[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
         """Return the state after `lead` seconds.
@@ -207,15 +212,7 @@ class RunningDrive:
             if known is not None:
                 return WayVerdict(known)
         way = self.ahead.piece(now.s, joint.s)
-        clearance = self._clearance(way.start)
-        begun = Begun(way.start, clearance) if clearance >= self.world.path_clearance.required else None
-        return prove_way(way, self.world, self.state.pose, begun=begun)
-
-    def _clearance(self, pose: Pose2) -> float:
-        """Return the clearance of a pose [m]."""
-        return float(
-            compiled_clearances(pose.as_array()[None], self.world.robot.footprint, self.world.all_obstacles)[0][0]
-        )
+        return prove_way(way, self.world, self.state.pose, begun=begun_at(way.start, self.world))
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
         """Return the current problem with the joint as its start."""
@@ -226,6 +223,18 @@ class RunningDrive:
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])
         return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
+
+
+def begun_at(start: Pose2, world: DockingProblem) -> Begun | None:
+    """Return the beginning of a drive for `prove_way`, or None if the start is too close to an obstacle."""
+    clearance = _clearance(start, world)
+    return Begun(start, clearance) if clearance >= world.path_clearance.required else None
+
+
+def _clearance(pose: Pose2, world: DockingProblem) -> float:
+    """Return the clearance of a pose [m]."""
+    clearances, _ = compiled_clearances(pose.as_array()[None], world.robot.footprint, world.all_obstacles)
+    return float(clearances[0])
 
 
 # Shares of the deceleration to try: in a bend the yaw acceleration may allow no more.
