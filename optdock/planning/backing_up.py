@@ -39,7 +39,7 @@ def transition_length(before: Pose2, after: Pose2, limits: MotionLimits) -> floa
     gap = before.inverse() @ after
     offset, turn, most, rate = abs(gap.y), abs(gap.yaw), limits.max_curvature, limits.max_curvature_rate
     by_curvature = 2.0 * math.sqrt(offset / most) + turn / most
-    return max(by_curvature, (32.0 * offset / rate) ** (1.0 / 3.0) + 2.0 * math.sqrt(turn / rate))
+    return float(max(by_curvature, (32.0 * offset / rate) ** (1.0 / 3.0) + 2.0 * math.sqrt(turn / rate)))
 
 
 def backed_up(joint: BranchPoint, problem: DockingProblem, least: float) -> Path | None:
@@ -59,10 +59,11 @@ def backed_up(joint: BranchPoint, problem: DockingProblem, least: float) -> Path
         return None
     if not (joint.rests and not problem.start_curvature):
         farther = min(straight + 0.5 * needed, path.length - _BEFORE_THE_END)
-        stop = max(joint.s + max(least, _SHORTEST), farther)
+        stop = min(max(joint.s + max(least, _SHORTEST), farther), path.length)
     back = max(min(stop - _SHORTEST, straight) - 0.5 * needed, first + _SHORTEST)
     last = path.segments[-1]
-    if stop > path.length or back > min(stop - _SHORTEST, straight) or not isinstance(last, ClothoidSegment):
+    is_room = back <= min(stop - _SHORTEST, straight) and not joint.s < stop < joint.s + 0.99 * _SHORTEST
+    if not is_room or not isinstance(last, ClothoidSegment):
         return None
     before = path.piece(joint.s, stop).segments if stop > joint.s else ()
     backwards = _backwards(last.spline.piece(back - first, stop - first))

@@ -215,8 +215,9 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     for step in range(_SHORTENINGS + _STEPS if shortens else _STEPS):
         if program.has_vanished(gears):
             return None
-        shortens = shortens and step < _SHORTENINGS and abs(gears.length - length) > _SAME_LENGTH * gears.length
-        length = gears.length
+        if shortens:
+            was, length = length, gears.length
+            shortens = step < _SHORTENINGS and abs(length - was) > _SAME_LENGTH * length
         drive = _driven(gears, begin)
         (x, y, yaw), contacts = drive.borders[-1].tolist(), [_contact(push, gears, drive) for push in pushes]
         gap = goal.x - x, goal.y - y, normalize_angle(goal.yaw - yaw)
@@ -461,20 +462,21 @@ class _Program:
     def _with_bounded_lengths(self, gears: _Gears, *, shortens: bool) -> FloatArray:
         """Set the bounds of the changes of length; return the linear cost of all variables, Shape (m + n,)."""
         (lower, upper), slope = self.bounds, np.zeros(self.size)
-        own, ends = self.lengths[~self.is_turn], gears.ends[~self.is_turn]
-        shortest = np.full(own.size, _SHORTEST_GEAR if shortens else 0.0)
-        if gears.signs[0] != 0.0:
-            shortest[0] = max(shortest[0], self.least - float(gears.tails[0]), _SHORTEST_PIECE if self.least else 0.0)
-        most = self.most_shortened if shortens else _MOST_STRETCH
-        lower[own] = np.log(np.minimum(np.maximum(shortest / ends, math.exp(-most)), 1.0))
-        upper[own] = most
+        most, own = self.most_shortened if shortens else _MOST_STRETCH, self.lengths[~self.is_turn]
+        lower[own], upper[own] = -most, most
         if shortens:
+            ends = gears.ends[~self.is_turn]
             slope[own] = _LENGTH_GAIN * ends
+            lower[own] = np.maximum(-most, np.minimum(np.log(_SHORTEST_GEAR / ends), 0.0))
+        if self.least > 0.0 and gears.signs[0] != 0.0:
+            length, tail = float(gears.knots[gears.first[1] - 1]), float(gears.tails[0])
+            first = math.log(min(max(self.least - tail, _SHORTEST_PIECE) / length, 1.0))
+            lower[own[0]] = max(float(lower[own[0]]), first)
         return slope
 
     def has_vanished(self, gears: _Gears) -> bool:
         """Whether a turn in place is too small."""
-        return bool(np.any(np.abs(gears.turns[self.is_turn]) < _LEAST_TURN))
+        return any(is_turn and abs(turn) < _LEAST_TURN for is_turn, turn in zip(self.is_turn, gears.turns, strict=True))
 
     def keeps_bounds(self, gears: _Gears) -> bool:
         """Whether the curvature and its rates are within their bounds."""

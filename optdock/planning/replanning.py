@@ -7,7 +7,8 @@ continuity. The following methods are tried in order until a plan is certified:
 1. The rest of the running path, deformed onto the new goal (`deformation`), in about a millisecond.
 2. The old plan, if its remaining path is certified in the new world and ends at the new dock within the dock's
    tolerances.
-3. The smoother from the joint, with the rest of the running path as warm start.
+3. In the last gear, close to the dock: the robot backs up and approaches again (`backing_up`).
+   Before the last gear: the smoother from the joint, with the rest of the running path as warm start.
 4. `plan_dock` from the joint. After its first certified plan it continues only while another plan may be much cheaper.
 
 If nothing is certified in time, the robot brakes along its path. The motion up to the joint can no
