@@ -462,8 +462,10 @@ class _Replanning:
             trajectory, motion = braking(joint, self.drive.world.robot.limits, self.drive.plan.frame)
             now = self.drive.now
             before, driven = joint.s - now.s, trajectory.path.length
-            way = trajectory.path if now.rest is None else now.rest.piece(0.0, max(before + driven, NO_WAY))
-            clear = prove_way(way, self.drive.world, self.drive.state.pose)
+            way = trajectory.path
+            if not now.is_at_the_end:
+                way = now.path.piece(now.s, now.s + max(before + driven, NO_WAY))
+            clear = prove_way(way, self.drive.world, self.drive.state.pose, begun=begun_at(way.start, self.drive.world))
             reason = why if clear else f"{why}; the stop is not proven: {clear.reason}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"
