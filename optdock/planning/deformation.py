@@ -48,6 +48,7 @@ _CLOSED = 2e-7  # [m], [rad]: a fifth of the certificate's tolerance
 _FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
 _PUSHED = 1e-4  # [m]: tolerance of pushes
 _SPACING = 0.02  # [m] between the poses whose clearance is checked
+_MOST_AT_ONCE = 8  # pushes: along a wall of map cells there is one per cell, which each takes 0.1 ms per step
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
 _LEAST_PIECES = 12  # of a gear
 _SHORTEST_PIECE = 0.01  # [m]: shorter pieces are not divided
@@ -542,7 +543,7 @@ def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
 
 
 def pushes_off(path: Path, problem: DockingProblem) -> list[Push]:
-    """Return a push for every stretch of a path whose samples are too close to one obstacle, at the worst sample.
+    """Return pushes for the worst stretches of a path whose samples are too close to one obstacle, at the worst sample.
 
     Next to a start that is too close itself, the weaker rule of the certificate applies.
     """
@@ -556,6 +557,7 @@ def pushes_off(path: Path, problem: DockingProblem) -> list[Push]:
     short = np.flatnonzero(missing > TOLERANCE)
     borders = np.flatnonzero((np.diff(short) > 1) | (np.diff(row[short]) != 0)) + 1
     worst = [int(some[missing[some].argmax()]) for some in np.split(short, borders)] if short.size else []
+    worst = sorted(worst, key=lambda k: -missing[k])[:_MOST_AT_ONCE]
     return [_push(float(s[k]), float(required[k]), poses[k], int(row[k]), path, problem) for k in worst]
 
 

@@ -34,6 +34,7 @@ from optdock.planning.deformation import (
     deformed,
     pushes_off,
 )
+from optdock.verification import compiled_clearances
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
 STRAIGHT = 0.3
@@ -292,6 +293,13 @@ def test_pushes_are_found_where_the_robot_is_too_close_and_suffice():
     assert pushes_off(path, dataclasses.replace(problem, clearance=0.0)) == []
     found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=pushes)
     assert pushes_off(found, problem) == []
+    along = [post + 0.05 * k * np.array([1.0, 0.2]) for k in range(-15, 15)]
+    wall = dataclasses.replace(problem, obstacles=along)
+    worst = pushes_off(path, wall)
+    assert 1 < len(worst) <= 8
+    s = np.array([push.share * path.length for push in worst])
+    clearance, _ = compiled_clearances(path.poses_at(s), robot.footprint, wall.all_obstacles)
+    assert np.all(np.diff(clearance) >= -1e-9)  # the closest ones first
 
 
 @needs_compiler
