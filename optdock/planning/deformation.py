@@ -29,6 +29,7 @@ from optdock.kernels import Kernel, twin_of
 from optdock.model.path import Path
 from optdock.model.segments import ClothoidSegment, TurnSegment
 from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
+from optdock.verification import TOLERANCE, compiled_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,12 +41,14 @@ if TYPE_CHECKING:
     from optdock.model.segments import Segment
     from optdock.verification import Violation
 
-__all__ = ["Push", "deformed", "push_off"]
+__all__ = ["Push", "deformed", "push_off", "pushes_off"]
 
 _ROOM = 0.005  # [m]: additional distance of a push, because the nearest point moves along the path
 _CLOSED = 2e-7  # [m], [rad]: a fifth of the certificate's tolerance
 _FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
 _PUSHED = 1e-4  # [m]: tolerance of pushes
+_SPACING = 0.02  # [m] between the poses whose clearance is checked
+_MOST_AT_ONCE = 8  # pushes: along a wall of map cells there is one per cell, which each takes 0.1 ms per step
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
 _LEAST_PIECES = 12  # of a gear
 _SHORTEST_PIECE = 0.01  # [m]: shorter pieces are not divided
@@ -55,7 +58,11 @@ _USED = 0.999  # share of the bounds that the program uses
 _SLOW = 0.3  # least speed in a bend as share of the speed at the start
 _USED_BY_BENDS = 0.8  # share of the yaw acceleration for bends; the rest is for acceleration in them
 _LEAST_TURN = 1e-3  # [rad]: smaller turns in place vanish
-_MOST_STRETCH = 0.3  # largest relative change of length per step, for the validity of the linear model
+_MOST_STRETCH = 0.3  # largest change of the logarithm of a length per step, for the validity of the linear model
+# Shortening: most steps; relative change of the length in the last step; largest change of the logarithm of a length
+# per step, halved where the next step fails; price of a metre, which is high enough for such changes.
+_SHORTENINGS, _SAME_LENGTH, _MOST_SHORTENED, _LENGTH_GAIN = 8, 0.01, 0.9, 10.0
+_SHORTEST_GEAR = 2.05 * _SHORTEST_PIECE  # shorter gears cannot be deformed again
 _USUAL_SWING = 0.25  # [m]: length over which the curvature changes by its bound, without a limit of its rate
 # Three Gauss points on [0, 1]: exact for a hat function times a quadratic. The positions at these points and at the end
 # of the piece are integrated from one to the next by four Gauss points on [-1, 1].
@@ -82,6 +89,16 @@ class _Gears(NamedTuple):
     first: IntArray
     knots: FloatArray
     curvature: FloatArray
+
+    @property
+    def ends(self) -> FloatArray:
+        """Lengths of the gears before their straight lines, 0 for turns in place, Shape (m,) [m]."""
+        return self.knots[self.first[1:] - 1] * (self.signs != 0.0) if self.knots.size else np.zeros(self.signs.size)
+
+    @property
+    def length(self) -> float:
+        """Sum of these lengths [m]."""
+        return float(self.ends.sum())
 
     @classmethod
     def of(cls, path: Path, final_straight: float) -> _Gears | None:
@@ -153,10 +170,9 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot, unit normal away from the obstacle, Shape (2,), and missing clearance [m]."""
+    """Derivatives of the clearance by all variables, Shape (m + n,), and missing clearance [m]."""
 
-    place: _Place
-    normal: FloatArray
+    moves: FloatArray
     short: float
 
 
@@ -171,6 +187,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     speed: float = 0.0,
     least: float = 0.0,
     pushes: Sequence[Push] = (),
+    shortens: bool = False,
 ) -> Path | None:
     """Return a path near `path` from `start` to `goal` in the same gears, or None if no such path is within the bounds.
 
@@ -188,25 +205,34 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
             and steering rate bound the curvature rate.
         least: Least length of the first segment, in which the robot stops if more segments follow [m].
         pushes: Required distances from obstacles.
+        shortens: Whether the gears are first shortened as far as the bounds permit, from a path that is longer than
+            necessary.
     """
     gears = _Gears.of(path, final_straight)
     if gears is None:
         return None
     program, begin = _Program(gears, limits, speed, len(pushes), steers=steers), start.as_array()
-    program.least = least
-    for _ in range(_STEPS):
+    program.least, length, before = least, math.inf, None
+    for step in range(_SHORTENINGS + _STEPS if shortens else _STEPS):
         if program.has_vanished(gears):
             return None
+        if shortens:
+            was, length = length, gears.length
+            shortens = step < _SHORTENINGS and abs(length - was) > _SAME_LENGTH * length
         drive = _driven(gears, begin)
         (x, y, yaw), contacts = drive.borders[-1].tolist(), [_contact(push, gears, drive) for push in pushes]
         gap = goal.x - x, goal.y - y, normalize_angle(goal.yaw - yaw)
         short = max((contact.short for contact in contacts), default=0.0)
-        if max(map(abs, gap)) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
+        is_closed = max(map(abs, gap)) <= _CLOSED and short <= _PUSHED and not shortens
+        if is_closed and program.keeps_bounds(gears):
             return gears.path(start, path.frame)
-        changed = program.with_least_change(gears, drive, gap, contacts)
-        if changed is None:
+        changed = program.with_least_change(gears, drive, gap, contacts, shortens=shortens)
+        if changed is not None:
+            before, gears = gears, changed
+        elif shortens and before is not None:  # the lengths have become too short in one step
+            gears, length, program.most_shortened = before, math.inf, 0.5 * program.most_shortened
+        else:
             return None
-        gears = changed
     return None
 
 
@@ -235,6 +261,7 @@ class _Drive(NamedTuple):
 
 _POSES = Kernel("optdock_deformed_poses", sizes=2, numbers=0)
 _MOVES = Kernel("optdock_deformation_moves", sizes=3, numbers=6)
+_CONTACT = Kernel("optdock_deformation_contact", sizes=5, numbers=3)
 
 
 def _driven_native(gears: _Gears, start: FloatArray) -> _Drive:
@@ -345,6 +372,22 @@ def _pose_at(gears: _Gears, drive: _Drive, gear: int, share: float) -> tuple[Flo
     return pose + np.array([along, across, step * (bend + 0.5 * step * slope)]), driven
 
 
+def _contact_native(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
+    (m, n), (v, k) = (gears.signs.size, gears.knots.size), (len(push.body.vertices), len(push.piece.x))
+    moves, short = np.empty((3, m + n)), np.empty(1)
+    arrays = (
+        *zip(gears, (m, m, m, m + 1, n, n), strict=True),
+        *zip(drive, (3 * m + 3, 3 * n, 6 * n), strict=True),
+        *zip(push.body, (2 * v, 2 * v, v), strict=True),
+        *((part, k) for part in push.piece),
+        *((_BORDERS, 4), (_WEIGHTS, 3), (_PLACES, _PLACES.size), (_RULE, _RULE.size)),
+        *((np.empty((v + k, 2)), 2 * (v + k)), (moves, moves.size), (short, 1)),
+    )
+    _CONTACT((m, n, push.gear, v, k), (push.share, push.distance, _FLAT), arrays)
+    return _Contact(moves[0], short.item())
+
+
+@twin_of(_contact_native)
 def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
     """Return the contact of a push on the current path."""
     pose, driven = _pose_at(gears, drive, push.gear, push.share)
@@ -363,7 +406,8 @@ def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
     place = _Place(
         (float(point[0]), float(point[1])), push.gear, push.share, driven, (float(robot[0]), float(robot[1]))
     )
-    return _Contact(place, normal, push.distance - float(found.distance[0]))
+    moves = _moves(gears, drive, place)
+    return _Contact(normal[0] * moves[0] + normal[1] * moves[1], push.distance - float(found.distance[0]))
 
 
 def _rates_at_speed(knots: FloatArray, limits: MotionLimits, speed: float) -> FloatArray:
@@ -381,6 +425,7 @@ class _Program:
 
     def __init__(self, gears: _Gears, limits: MotionLimits, speed: float, pushes: int, *, steers: bool) -> None:
         sharpest = float(np.abs(gears.curvature).max(initial=0.0))
+        self.most_shortened = _MOST_SHORTENED
         self.least, self.most = 0.0, limits.max_curvature * _USED
         self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
         rate = limits.max_curvature_rate
@@ -415,14 +460,24 @@ class _Program:
         left = self.left
         return (gears.curvature[left + 1] - gears.curvature[left]) / (gears.knots[left + 1] - gears.knots[left])
 
-    def _shortest(self, gears: _Gears) -> float:
-        """Return the bound of the change of the first gear's length, at most 0."""
-        length, tail = float(gears.knots[gears.first[1] - 1]), float(gears.tails[0])
-        return math.log(min(max(self.least - tail, _SHORTEST_PIECE) / length, 1.0))
+    def _with_bounded_lengths(self, gears: _Gears, *, shortens: bool) -> FloatArray:
+        """Set the bounds of the changes of length; return the linear cost of all variables, Shape (m + n,)."""
+        (lower, upper), slope = self.bounds, np.zeros(self.size)
+        most, own = self.most_shortened if shortens else _MOST_STRETCH, self.lengths[~self.is_turn]
+        lower[own], upper[own] = -most, most
+        if shortens:
+            ends = gears.ends[~self.is_turn]
+            slope[own] = _LENGTH_GAIN * ends
+            lower[own] = np.maximum(-most, np.minimum(np.log(_SHORTEST_GEAR / ends), 0.0))
+        if self.least > 0.0 and gears.signs[0] != 0.0:
+            length, tail = float(gears.knots[gears.first[1] - 1]), float(gears.tails[0])
+            first = math.log(min(max(self.least - tail, _SHORTEST_PIECE) / length, 1.0))
+            lower[own[0]] = max(float(lower[own[0]]), first)
+        return slope
 
     def has_vanished(self, gears: _Gears) -> bool:
         """Whether a turn in place is too small."""
-        return bool(np.any(np.abs(gears.turns[self.is_turn]) < _LEAST_TURN))
+        return any(is_turn and abs(turn) < _LEAST_TURN for is_turn, turn in zip(self.is_turn, gears.turns, strict=True))
 
     def keeps_bounds(self, gears: _Gears) -> bool:
         """Whether the curvature and its rates are within their bounds."""
@@ -430,14 +485,12 @@ class _Program:
         return bool(np.all(np.abs(gears.curvature) <= slack * self.most) and np.all(rates <= slack * self.most_rates))
 
     def with_least_change(
-        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: list[_Contact]
+        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: list[_Contact], *, shortens: bool
     ) -> _Gears | None:
         """Return the gears with the change of least cost that closes the gap subject to pushes and bounds, or None."""
         rates, left, curvature = self._rates(gears), self.left, gears.curvature
         (lower, upper), rows, at = self.bounds, self.rows, np.arange(3, self.pushed)
-        room = min(self.most, UNBOUNDED)
-        if self.least > 0.0 and gears.signs[0] != 0.0:
-            lower[self.lengths[0]] = self._shortest(gears)
+        room, slope = min(self.most, UNBOUNDED), self._with_bounded_lengths(gears, shortens=shortens)
         lower[self.bends], upper[self.bends] = -room - curvature, room - curvature
         for knot, value in self.fixed.items():
             lower[self.bends[knot]] = upper[self.bends[knot]] = value - curvature[knot]
@@ -451,17 +504,13 @@ class _Program:
         most = np.minimum(self.most_rates, UNBOUNDED)
         lower[self.size + at], upper[self.size + at] = -most - rates, most - rates
         for row, contact in enumerate(contacts, self.pushed):
-            rows[row] = contact.normal @ _moves(gears, drive, contact.place)[:2]
+            rows[row] = contact.moves
             lower[self.size + row] = contact.short
-        found = minimizer(
-            QuadraticProgram(self.price, np.zeros(self.size), rows, self.bounds, self.size, self.active, self.dense)
-        )
+        found = minimizer(QuadraticProgram(self.price, slope, rows, self.bounds, self.size, self.active, self.dense))
         if found is None:
             return None
         self.active, change = found.active, found.solution
         stretch = change[self.lengths]
-        if np.any(np.abs(stretch[~self.is_turn]) > _MOST_STRETCH):
-            return None
         turns = gears.turns + np.where(self.is_turn, stretch, 0.0)
         knots = gears.knots * np.exp(stretch)[self.owner]
         return gears._replace(turns=turns, knots=knots, curvature=curvature + change[self.bends])
@@ -480,8 +529,7 @@ class _Program:
         values = _BEND_PRICE * width / self.scale**2
         values[first] += swing
         values[first + 1] += swing
-        ends = gears.knots[gears.first[1:] - 1] if gears.knots.size else np.zeros(gears.signs.size)
-        values[self.lengths] = np.where(self.is_turn, 1.0, _LENGTH_PRICE * ends)
+        values[self.lengths] = np.where(self.is_turn, 1.0, _LENGTH_PRICE * gears.ends)
         np.fill_diagonal(price, values)
         price[first, first + 1] = price[first + 1, first] = -swing
         return price
@@ -489,17 +537,38 @@ class _Program:
 
 def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
     """Return the push that moves the robot away from the obstacle of a clearance violation."""
-    pose = path.poses_at(violation.s)[0]
-    reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
-    near = problem.all_obstacles.near(pose[None, :2], reach)
-    rows = np.arange(len(near))
-    poses = np.tile(pose, (rows.size, 1))
-    body, found = min(
-        ((body, separation(body, poses, near.pieces(rows))) for body in problem.robot.footprint.bodies),
-        key=lambda one: float(one[1].distance.min()),
+    pose = path.poses_at(violation.s)
+    clearance, row = compiled_clearances(pose, problem.robot.footprint, problem.all_obstacles)
+    return _push(violation.s, float(clearance[0]) + violation.amount, pose[0], int(row[0]), path, problem)
+
+
+def pushes_off(path: Path, problem: DockingProblem) -> list[Push]:
+    """Return pushes for the worst stretches of a path whose samples are too close to one obstacle, at the worst sample.
+
+    Next to a start that is too close itself, the weaker rule of the certificate applies.
+    """
+    s = np.linspace(0.0, path.length, 2 + int(path.length / _SPACING))
+    poses, rule, room = path.poses_at(s), problem.path_clearance, problem.path_clearance.required + _ROOM
+    clearance, row = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, room)
+    from_goal, from_start = (np.hypot(*(poses[:, :2] - (end.x, end.y)).T) for end in (problem.goal, problem.start))
+    relief = problem.start_run if clearance[0] < rule.required else 0.0
+    required = rule.required_at(from_goal, from_start, float(clearance[0]), relief)
+    missing = required - clearance
+    short = np.flatnonzero(missing > TOLERANCE)
+    borders = np.flatnonzero((np.diff(short) > 1) | (np.diff(row[short]) != 0)) + 1
+    worst = [int(some[missing[some].argmax()]) for some in np.split(short, borders)] if short.size else []
+    worst = sorted(worst, key=lambda k: -missing[k])[:_MOST_AT_ONCE]
+    return [_push(float(s[k]), float(required[k]), poses[k], int(row[k]), path, problem) for k in worst]
+
+
+def _push(at: float, required: float, pose: FloatArray, row: int, path: Path, problem: DockingProblem) -> Push:
+    """Return the push of the pose at an arc length [m] off the obstacle in a row; `required`: clearance [m]."""
+    piece, bodies = problem.all_obstacles.pieces(np.array([row])), problem.robot.footprint.bodies
+    body = (
+        min(bodies, key=lambda one: float(separation(one, pose[None], piece).distance[0]))
+        if len(bodies) > 1
+        else bodies[0]
     )
-    row = int(np.argmin(found.distance))
-    distance = float(found.distance[row]) + violation.amount + _ROOM
-    gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
-    share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
-    return Push(gear, min(max(share, 0.0), 1.0), body, near.pieces(np.array([row])), distance)
+    gear = int(np.clip(np.searchsorted(path.segment_starts, at, side="right") - 1, 0, len(path.segments) - 1))
+    share = (at - float(path.segment_starts[gear])) / path.segments[gear].length
+    return Push(gear, min(max(share, 0.0), 1.0), body, piece, required + _ROOM)

@@ -1,4 +1,5 @@
-/* Poses of a path that is deformed, and their derivatives (D3): `driven` and `moves` of `deformation.py` in C.
+/* Poses of a path that is deformed, their derivatives (D3), and contacts with obstacles: `driven`, `moves` and `contact`
+ * of `deformation.py` in C.
  *
  * Sines and cosines are those of the C library, so results differ from the twin's by rounding. A deformed path is
  * judged by the certificate, which does not depend on this file.
@@ -119,5 +120,185 @@ int64_t optdock_deformation_moves(int64_t m, int64_t n, int64_t gear, double x, 
         rows[0][length] += (i == gear ? x1 : last[0]) - border[0];
         rows[1][length] += (i == gear ? y1 : last[1]) - border[1];
     }
+    return 0;
+}
+
+/* A convex polygon: corners, outward normals, their offsets. */
+typedef struct {
+    int64_t count;
+    const double *x, *y, *normal_x, *normal_y, *offsets;
+    int64_t stride; /* between the elements of the first four */
+} Polygon;
+
+typedef struct {
+    double distance, x, y; /* along the unit vector (x, y) from obstacle to body */
+} Gap;
+
+/* Return the largest gap between a polygon and points (count, 2) along the polygon's normals, which are in the frame of
+ * the points; the axis is that normal. */
+static Gap along_normals(Polygon polygon, const double *points, int64_t count)
+{
+    Gap best = {-INFINITY, 1.0, 0.0};
+    for (int64_t j = 0; j < polygon.count; j++) {
+        double x = polygon.normal_x[j * polygon.stride], y = polygon.normal_y[j * polygon.stride], low = INFINITY;
+        for (int64_t i = 0; i < count; i++) {
+            double height = x * points[2 * i] + y * points[2 * i + 1];
+            low = height < low ? height : low;
+        }
+        if (low - polygon.offsets[j] > best.distance)
+            best = (Gap){low - polygon.offsets[j], x, y};
+    }
+    return best;
+}
+
+/* Return the gap between points (count, 2) and an obstacle along the line through the nearest two corners. */
+static Gap along_corners(const double *points, int64_t count, Polygon obstacle)
+{
+    double x = 0.0, y = 0.0, least = INFINITY, low = INFINITY, high = -INFINITY;
+    for (int64_t i = 0; i < count; i++) {
+        for (int64_t j = 0; j < obstacle.count; j++) {
+            double dx = points[2 * i] - obstacle.x[j], dy = points[2 * i + 1] - obstacle.y[j];
+            if (dx * dx + dy * dy < least)
+                least = dx * dx + dy * dy, x = dx, y = dy;
+        }
+    }
+    double length = sqrt(least);
+    if (!(length > 1e-12))
+        return (Gap){-INFINITY, 1.0, 0.0};
+    x *= 1.0 / length, y *= 1.0 / length;
+    for (int64_t i = 0; i < count; i++) {
+        double height = x * points[2 * i] + y * points[2 * i + 1];
+        low = height < low ? height : low;
+    }
+    for (int64_t j = 0; j < obstacle.count; j++) {
+        double height = x * obstacle.x[j] + y * obstacle.y[j];
+        high = height > high ? height : high;
+    }
+    return (Gap){low - high, x, y};
+}
+
+/* Return the signed distance of a body at a pose from an obstacle, and its axis.
+ *
+ *   cosine, sine   of the yaw
+ *   corners        (body.count, 2), corners of the body at the pose
+ *   local          work, (obstacle.count, 2) */
+static Gap separation(Polygon body, double x, double y, double cosine, double sine, const double *corners,
+                      Polygon obstacle, double *local)
+{
+    Gap best = along_normals(obstacle, corners, body.count);
+    for (int64_t j = 0; j < obstacle.count; j++) {
+        double dx = obstacle.x[j] - x, dy = obstacle.y[j] - y;
+        local[2 * j] = cosine * dx + sine * dy;
+        local[2 * j + 1] = cosine * dy - sine * dx;
+    }
+    Gap own = along_normals(body, local, obstacle.count);
+    if (own.distance > best.distance)
+        best = (Gap){own.distance, sine * own.y - cosine * own.x, -sine * own.x - cosine * own.y};
+    Gap between = along_corners(corners, body.count, obstacle);
+    return between.distance > best.distance ? between : best;
+}
+
+/* Return the point of the body that is nearest to the obstacle: a corner; on an edge along the obstacle, whose corners
+ * are equally near up to `flat`, the point next to the nearest corner of the obstacle. */
+static void nearest_point(const double *corners, int64_t count, Polygon obstacle, Gap gap, double flat, double *point)
+{
+    double low = INFINITY, high = -INFINITY;
+    int64_t first = -1, last = -1, facing = 0;
+    for (int64_t i = 0; i < count; i++) {
+        double height = corners[2 * i] * gap.x + corners[2 * i + 1] * gap.y;
+        low = height < low ? height : low;
+    }
+    for (int64_t i = 0; i < count; i++) {
+        if (corners[2 * i] * gap.x + corners[2 * i + 1] * gap.y <= low + flat) {
+            first = first < 0 ? i : first;
+            last = i;
+        }
+    }
+    if (first < 0) /* not a number */
+        first = last = 0;
+    point[0] = corners[2 * first], point[1] = corners[2 * first + 1];
+    if (first == last)
+        return;
+    for (int64_t j = 0; j < obstacle.count; j++) {
+        double height = obstacle.x[j] * gap.x + obstacle.y[j] * gap.y;
+        if (height > high)
+            high = height, facing = j;
+    }
+    double dx = corners[2 * last] - point[0], dy = corners[2 * last + 1] - point[1];
+    double share = ((obstacle.x[facing] - point[0]) * dx + (obstacle.y[facing] - point[1]) * dy) / (dx * dx + dy * dy);
+    share = share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
+    point[0] += dx * share, point[1] += dy * share;
+}
+
+/* Return the pose at a share of the length of a gear, and the distance driven in the gear. */
+static double pose_at(int64_t gear, double share, const double *signs, const double *tails, const double *turns,
+                      const int64_t *first, const double *knots, const double *curvature, const double *borders,
+                      const double *at_knots, const double *places, const double *weights, double *pose)
+{
+    if (signs[gear] == 0.0) {
+        const double *border = borders + 3 * gear;
+        pose[0] = border[0], pose[1] = border[1], pose[2] = border[2] + share * turns[gear];
+        return 0.0;
+    }
+    int64_t last = first[gear + 1] - 1, row = first[gear];
+    double driven = share * (knots[last] + tails[gear]);
+    while (row < last && knots[row + 1] <= driven)
+        row++;
+    const double *at = at_knots + 3 * row;
+    double step = driven - knots[row], bend = curvature[row], slope = 0.0, along = 0.0, across = 0.0;
+    if (row < last)
+        slope = (curvature[row + 1] - bend) / (knots[row + 1] - knots[row]);
+    for (int64_t q = 0; q < PLACES; q++) {
+        double u = 0.5 * step * (1.0 + places[q]), heading = at[2] + u * (bend + 0.5 * u * slope);
+        along += weights[q] * cos(heading);
+        across += weights[q] * sin(heading);
+    }
+    pose[0] = at[0] + 0.5 * signs[gear] * step * along;
+    pose[1] = at[1] + 0.5 * signs[gear] * step * across;
+    pose[2] = at[2] + step * (bend + 0.5 * step * slope);
+    return driven;
+}
+
+/* Compute the missing clearance of the robot at a place of the path, and the derivatives of its clearance.
+ *
+ *   gear, share          the place
+ *   v, vertices ...      body: (v, 2), its normals (v, 2) and their offsets (v,)
+ *   k, x, y ...          obstacle: (k,) each, with its normals and their offsets
+ *   distance             required distance [m]; flat: tolerance of corners of an edge along the obstacle [m]
+ *   corners              work, (v + k, 2)
+ *   found                out, (3, n + m), the derivatives in the first row
+ *   missing              out, (1,) [m] */
+int64_t optdock_deformation_contact(int64_t m, int64_t n, int64_t gear, int64_t v, int64_t k, double share,
+                                    double distance, double flat, const double *signs, const double *tails,
+                                    const double *turns, const int64_t *first, const double *knots,
+                                    const double *curvature, const double *borders, const double *at_knots,
+                                    const double *at_nodes, const double *vertices, const double *normals,
+                                    const double *offsets, const double *x, const double *y, const double *normal_x,
+                                    const double *normal_y, const double *piece_offsets, const double *nodes,
+                                    const double *shares, const double *places, const double *weights, double *corners,
+                                    double *found, double *missing)
+{
+    if (m < 1 || gear < 0 || gear >= m || first[0] != 0 || first[m] != n || v < 1 || k < 1)
+        return -1;
+    double pose[3], point[2];
+    double driven = pose_at(gear, share, signs, tails, turns, first, knots, curvature, borders, at_knots, places,
+                            weights, pose);
+    Polygon body = {v, vertices, vertices + 1, normals, normals + 1, offsets, 2};
+    Polygon obstacle = {k, x, y, normal_x, normal_y, piece_offsets, 1};
+    double cosine = cos(pose[2]), sine = sin(pose[2]);
+    for (int64_t i = 0; i < v; i++) {
+        corners[2 * i] = pose[0] + (cosine * vertices[2 * i] - sine * vertices[2 * i + 1]);
+        corners[2 * i + 1] = pose[1] + (sine * vertices[2 * i] + cosine * vertices[2 * i + 1]);
+    }
+    Gap gap = separation(body, pose[0], pose[1], cosine, sine, corners, obstacle, corners + 2 * v);
+    nearest_point(corners, v, obstacle, gap, flat, point);
+    const double *robot = pose;
+    if (signs[gear] != 0.0 && driven > knots[first[gear + 1] - 1])
+        robot = at_knots + 3 * (first[gear + 1] - 1);
+    optdock_deformation_moves(m, n, gear, point[0], point[1], share, driven, robot[0], robot[1], signs, first, knots,
+                              curvature, borders, at_knots, at_nodes, nodes, shares, found);
+    for (int64_t i = 0; i < n + m; i++)
+        found[i] = gap.x * found[i] + gap.y * found[n + m + i];
+    missing[0] = distance - gap.distance;
     return 0;
 }

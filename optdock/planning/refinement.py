@@ -28,7 +28,7 @@ from optdock.errors import (
 from optdock.geometry.pose import Pose2
 from optdock.model.path import Path
 from optdock.model.trajectory import Trajectory
-from optdock.planning.deformation import Push, deformed, push_off
+from optdock.planning.deformation import Push, deformed, push_off, pushes_off
 from optdock.planning.guess_edits import begun_straight, straight_along_contact
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plugins.interfaces import (
@@ -53,7 +53,7 @@ from optdock.verification import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.deadline import Deadline
     from optdock.model.problem import DockingProblem
@@ -193,8 +193,16 @@ class Refinement:
         report = replace(result.report, sampled=plan.smoothing_report.sampled)
         return replace(plan, completed=result.completed, smoothing_report=report)
 
-    def deformed(
-        self, path: Path, most_pushes: int, *, steers: bool = True, speed: float = 0.0, least: float = 0.0
+    def deformed(  # noqa: PLR0913 - as `deformation.deformed`
+        self,
+        path: Path,
+        most_pushes: int,
+        *,
+        steers: bool = True,
+        speed: float = 0.0,
+        least: float = 0.0,
+        pushes: Sequence[Push] = (),
+        shortens: bool = False,
     ) -> tuple[Path, Certificate | None]:
         """Deform the rest of a path to the start of the problem, and push it off obstacles that are too close.
 
@@ -204,11 +212,13 @@ class Refinement:
             steers: As in `deformation.deformed`.
             speed: As in `deformation.deformed` [m/s].
             least: As in `deformation.deformed` [m].
+            pushes: As in `deformation.deformed`, from the beginning.
+            shortens: As in `deformation.deformed`, before the first push.
 
         Returns:
             The last deformed path with its certificate; `path` itself and None if it cannot be deformed.
         """
-        problem, pushes, longest = self.problem, list[Push](), 0.0
+        problem, pushes, longest = self.problem, list(pushes), 0.0
         certificate: Certificate | None = None
         for _ in range(most_pushes + 1):
             if self.deadline.left < longest:  # a smoothing afterwards would not end in time
@@ -225,15 +235,20 @@ class Refinement:
                     speed=speed,
                     least=least,
                     pushes=pushes,
+                    shortens=shortens and not pushes,
                 )
             if moved is None or self.asked_to_stop():
                 break
-            path = moved
-            with self.timed("certify"):
-                certificate = certify_path(path, problem, is_late=self.asked_to_stop)
-            if any(violation.kind != "clearance" for violation in certificate.violations) or certificate.certified:
-                break
-            pushes.append(push_off(certificate.violations[0], path, problem))
+            path, more = moved, pushes_off(moved, problem) if pushes else []
+            if not more:
+                with self.timed("certify"):
+                    certificate = certify_path(path, problem, is_late=self.asked_to_stop)
+                if any(violation.kind != "clearance" for violation in certificate.violations) or certificate.certified:
+                    break
+                more = (not pushes and pushes_off(path, problem)) or [
+                    push_off(certificate.violations[0], path, problem)
+                ]
+            pushes += more
             longest = max(longest, self.deadline.elapsed - began)
         return path, certificate
 

@@ -7,7 +7,8 @@ continuity. The following methods are tried in order until a plan is certified:
 1. The rest of the running path, deformed onto the new goal (`deformation`), in about a millisecond.
 2. The old plan, if its remaining path is certified in the new world and ends at the new dock within the dock's
    tolerances.
-3. The smoother from the joint, with the rest of the running path as warm start.
+3. In the last gear, close to the dock: the robot backs up and approaches again (`backing_up`).
+   Before the last gear: the smoother from the joint, with the rest of the running path as warm start.
 4. `plan_dock` from the joint. After its first certified plan it continues only while another plan may be much cheaper.
 
 If nothing is certified in time, the robot brakes along its path. The motion up to the joint can no
@@ -44,11 +45,13 @@ from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import Trajectory
+from optdock.planning.backing_up import backed_up
 from optdock.planning.changed_world import StillHolds, still_holds
+from optdock.planning.deformation import Push, pushes_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time, sampled_bounds
-from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
+from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, begun_at, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
@@ -87,6 +90,7 @@ DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
 _FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: reserved for the proofs of the old plan or a stop
 _ON_THE_STRAIGHT = "the robot is on the final straight, which is not deformed"
 _AT_THE_END = "the robot is at the end of the plan"
+_NOT_DEFORMED = "the path cannot be deformed within the curvature limits"
 # After the first certified plan from the joint, only plans that may be cheaper by this share are searched for. In 192
 # changed worlds the durations were the same as with 0.03, and calls with a whole search took about half the CPU time.
 _LEAST_GAIN = 0.2
@@ -276,12 +280,8 @@ class _Replanning:
         if not is_moved and not self.drive.is_in_tube(joint.pose):
             self.drive.move_ahead()
             joint = self.drive.branch_point(self.lead, at_a_rest=True)
-        until = self.drive.way_until(joint)
-        if until is not None and until.way is None:
-            why = f"the path until the takeover of a new plan is not clear: {until.reason}"
-            return self._kept(why) or self._stop(delay, why)
         try:
-            return self._replanned(joint, None if until is None else until.way, plugins)
+            return self._decided(joint, delay, plugins)
         except (PluginError, LifecycleError, InvalidValue):
             raise
         except Cancelled as error:
@@ -290,30 +290,42 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
-        """Try the deformed path, then the old plan, then smoothing, then a new plan in other gears, or raise."""
-        reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
-        deadline = self.deadline.shortened(by=reserve)
-        problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
-        rest, smoothed, straight = joint.rest, None, self.drive.world.dock.final_straight
-        if rest is not None and (len(rest.segments) > 1 or rest.length > straight):
-            timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
-            limits = self.cancelled, self.budget, deadline, self.timing_ms
-            work = Refinement(problem, self.smoother, timing, rest, *limits)
-            guess, plan = self._deformed(joint, rest, problem, work)
-            if plan is not None:
-                return self._new(joint, until, plan)
-            if not isinstance(self.failure, FailedToTimePath):  # a smoothed path could not be timed either
-                smoothed = functools.partial(self._smoothed, guess, work)
-            why = str(self.failure or "the path cannot be deformed within the curvature limits")
-        kept = self._kept(why)
+    def _decided(self, joint: BranchPoint, delay: float, plugins: _Plugins) -> Replanned:
+        """Prove the way to the joint and plan from there; on the final straight the old plan is tried before."""
+        why, kept = _AT_THE_END if joint.is_at_the_end else _ON_THE_STRAIGHT, None
+        is_deformed = joint.has_more_than(self.drive.world.dock.final_straight)
+        if not is_deformed:
+            kept = self._kept(why)
         if kept is not None:
             return kept
-        plan = smoothed() if smoothed is not None else None
-        if plan is not None:
-            return self._new(joint, until, plan)
+        until = self.drive.way_until(joint)
+        if until is not None and until.way is None:
+            blocked = f"the path until the takeover of a new plan is not clear: {until.reason}"
+            return (self._kept(blocked) if is_deformed else None) or self._stop(delay, blocked)
+        return self._replanned(joint, None if until is None else until.way, plugins, is_deformed=is_deformed)
+
+    def _replanned(
+        self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins, *, is_deformed: bool
+    ) -> Replanned:
+        """Try the deformed path, then the old plan, then another approach, then a new plan in other gears, or raise."""
+        reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
+        deadline, problem = self.deadline.shortened(by=reserve), self.drive.problem_at(joint)
+        if joint.rest is not None:
+            timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
+            limits = self.cancelled, self.budget, deadline, self.timing_ms
+            work = Refinement(problem, self.smoother, timing, joint.rest, *limits)
+            guess, plan = self._deformed(joint, joint.rest, work) if is_deformed else (joint.rest, None)
+            if plan is not None:
+                return self._new(joint, until, plan)
+            kept = self._kept(str(self.failure or _NOT_DEFORMED)) if is_deformed else None
+            if kept is not None:
+                return kept
+            plan = self._otherwise(joint, guess, work)
+            if plan is not None:
+                return self._new(joint, until, plan)
         if deadline.left <= 0.0:
-            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning from the joint', self.budget)}")
+            late = ran_out_of_time("planning from the joint", self.budget)
+            raise self.failure or SmootherTimedOut(late)
         plan = plan_dock(
             problem,
             time_budget=deadline.left,
@@ -334,18 +346,33 @@ class _Replanning:
         return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, way=way, tried=tried, timing_ms=timing)
 
     def _deformed(
-        self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
+        self, joint: BranchPoint, path: Path, work: Refinement, *, shortens: bool = False
     ) -> tuple[Path, DockPlan | None]:
-        """Return the rest of the running path, deformed, with its plan if it is certified."""
+        """Return a path from the joint, deformed, with its plan if it is certified."""
+        problem, stage = work.problem, "backed up" if shortens else "deformed"
         steers, least = problem.start_curvature is not None, joint.braking_distance(problem.robot.limits)
-        guess, certificate = work.deformed(rest, _PUSHES, steers=steers, speed=abs(joint.speed), least=least)
+        known, pushes = self.drive.plan.problem, list[Push]()
+        if not shortens and (known.obstacles is not problem.obstacles or known.costmap is not problem.costmap):
+            pushes = pushes_off(path, problem)
+        guess, certificate = work.deformed(
+            path, _PUSHES, steers=steers, speed=abs(joint.speed), least=least, pushes=pushes, shortens=shortens
+        )
         if certificate is None or not certificate.certified:
             return guess, None
-        return guess, self._attempt("deformed", guess, functools.partial(work.proven, guess, guess))
+        return guess, self._attempt(stage, guess, functools.partial(work.proven, guess, guess))
 
-    def _smoothed(self, guess: Path, work: Refinement) -> DockPlan | None:
-        """Return the certified plan along the smoothed guess, or None."""
-        return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
+    def _otherwise(self, joint: BranchPoint, guess: Path, work: Refinement) -> DockPlan | None:
+        """Return a plan that backs up before the dock, or that of the smoothed guess, or None.
+
+        The smoother is called only for several gears. In one gear, it refused all of 34 guesses whose deformation had
+        failed.
+        """
+        if isinstance(self.failure, FailedToTimePath):  # a smoothed path could not be timed either
+            return None
+        if len(guess.segments) > 1:
+            return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
+        again = backed_up(joint, work.problem, joint.braking_distance(work.problem.robot.limits))
+        return None if again is None else self._deformed(joint, again, work, shortens=True)[1]
 
     def _timing(self) -> dict[str, float]:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
@@ -376,21 +403,21 @@ class _Replanning:
             return None
         world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
         if self.drive.is_on_the_path:
-            found = prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
+            rest = path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY)))
+            found = prove_way(rest, world, begun=begun_at(rest.start, world))
         else:
+            rest = path.piece(min(max(0.0, self.drive.now.s - _NEARBY), max(0.0, path.length - NO_WAY)))
             found = self._goes_back(path, world)
-        if found.way is None or not self._keeps_own_bounds(path):
+        if found.way is None or not self._keeps_own_bounds(rest, path.length - rest.length):
             return None
         tried, timing = tuple(self.tried), self._timing()
         running, plan = self.drive.plan.trajectory, self.drive.plan
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
-    def _keeps_own_bounds(self, path: Path) -> bool:
-        """Whether the rest of the running path satisfies the smoother's own bounds at samples."""
-        now = self.drive.now.s if self.drive.is_on_the_path else self.drive.now.s - _NEARBY
-        begin = min(max(0.0, now), max(0.0, path.length - NO_WAY))
-        before = path.piece(0.0, begin).driven if begin > NO_WAY else 0.0
-        found = sampled_bounds(self.smoother, path.piece(begin), self.drive.world, self.cancelled, before)
+    def _keeps_own_bounds(self, rest: Path, begin: float) -> bool:
+        """Whether the rest of the running path, from `begin` [m], satisfies the smoother's own bounds at samples."""
+        before = self.drive.path.piece(0.0, begin).driven if begin > NO_WAY else 0.0
+        found = sampled_bounds(self.smoother, rest, self.drive.world, self.cancelled, before)
         return all(bound.holds for bound in found)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
@@ -435,8 +462,10 @@ class _Replanning:
             trajectory, motion = braking(joint, self.drive.world.robot.limits, self.drive.plan.frame)
             now = self.drive.now
             before, driven = joint.s - now.s, trajectory.path.length
-            way = trajectory.path if now.rest is None else now.rest.piece(0.0, max(before + driven, NO_WAY))
-            clear = prove_way(way, self.drive.world, self.drive.state.pose)
+            way = trajectory.path
+            if not now.is_at_the_end:
+                way = now.path.piece(now.s, now.s + max(before + driven, NO_WAY))
+            clear = prove_way(way, self.drive.world, self.drive.state.pose, begun=begun_at(way.start, self.drive.world))
             reason = why if clear else f"{why}; the stop is not proven: {clear.reason}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"

@@ -18,7 +18,15 @@ from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.model.trajectory import Trajectory
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.start_states import full_stop
-from optdock.verification import TOLERANCE, WayVerdict, certify_trajectory, pose_clearance, prove_way, unchanged_way
+from optdock.verification import (
+    TOLERANCE,
+    WayVerdict,
+    certify_trajectory,
+    compiled_clearances,
+    prove_way,
+    unchanged_way,
+)
+from optdock.verification.conservative_advancement import Begun
 
 if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits
@@ -73,7 +81,16 @@ class BranchPoint:
     @functools.cached_property
     def rest(self) -> Path | None:
         """The remaining path from the pose of the robot, or None if no path remains."""
-        return self.path.piece(self.s) if self.s < self.path.length - NO_WAY else None
+        return None if self.is_at_the_end else self.path.piece(self.s)
+
+    @property
+    def is_at_the_end(self) -> bool:
+        """Whether no path remains."""
+        return self.s >= self.path.length - NO_WAY
+
+    def has_more_than(self, straight: float) -> bool:
+        """Whether more gears, or more than a given length [m], are ahead."""
+        return self.path.length - self.s > straight or any(cusp > self.s + NO_WAY for cusp in self.path.cusps)
 
     @functools.cached_property
     def pose(self) -> Pose2:
@@ -138,8 +155,7 @@ class RunningDrive:
         off = footprint.displacement(pose, self.reference)
         if not off <= self.world.robot.tracking.width(footprint):
             return False
-        clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
-        return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
+        return bool(off <= self.world.tube_widths(place.as_array()[None], place, _clearance(place, self.world))[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
         """Return the state after `lead` seconds.
@@ -195,7 +211,8 @@ class RunningDrive:
             known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
             if known is not None:
                 return WayVerdict(known)
-        return prove_way(self.ahead.piece(now.s, joint.s), self.world, self.state.pose)
+        way = self.ahead.piece(now.s, joint.s)
+        return prove_way(way, self.world, self.state.pose, begun=begun_at(way.start, self.world))
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
         """Return the current problem with the joint as its start."""
@@ -206,6 +223,18 @@ class RunningDrive:
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])
         return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
+
+
+def begun_at(start: Pose2, world: DockingProblem) -> Begun | None:
+    """Return the beginning of a drive for `prove_way`, or None if the start is too close to an obstacle."""
+    clearance = _clearance(start, world)
+    return Begun(start, clearance) if clearance >= world.path_clearance.required else None
+
+
+def _clearance(pose: Pose2, world: DockingProblem) -> float:
+    """Return the clearance of a pose [m]."""
+    clearances, _ = compiled_clearances(pose.as_array()[None], world.robot.footprint, world.all_obstacles)
+    return float(clearances[0])
 
 
 # Shares of the deceleration to try: in a bend the yaw acceleration may allow no more.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import shutil
 
@@ -17,9 +18,23 @@ from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.geometry.separation import separation
 from optdock.kernels import using_kernels
+from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path, TurnSegment
-from optdock.planning.deformation import Push, _driven, _Gears, _moves, _Place, _pose_at, deformed
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.deformation import (
+    Push,
+    _contact,
+    _driven,
+    _Gears,
+    _moves,
+    _Place,
+    _pose_at,
+    deformed,
+    pushes_off,
+)
+from optdock.verification import compiled_clearances
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
 STRAIGHT = 0.3
@@ -232,6 +247,61 @@ def test_derivatives_are_those_of_finite_differences():
                 np.testing.assert_allclose(moves[:, variable], change, atol=1e-4)
 
 
+def random_push(rng, gears, gear, share):
+    """Return a push of a random rectangle off a random polygon near the gears."""
+    corners = rng.uniform(0.05, 0.5) * np.exp(2j * math.pi * np.sort(rng.uniform(size=rng.integers(3, 8))))
+    outline = np.column_stack((corners.real, corners.imag)) + rng.uniform(-2.0, 2.0, size=2)
+    body = Footprint.rectangle(*rng.uniform(0.2, 0.8, size=3)).bodies[0]
+    piece = ObstacleSet.from_polygons([outline]).pieces(np.array([0]))
+    return Push(gear, share, body, piece, rng.uniform(0.0, 0.2))
+
+
+def test_contact_has_the_missing_clearance_and_its_derivatives():
+    rng, d = np.random.default_rng(5), 1e-6
+    for _ in range(40):
+        gears, start = random_gears(rng)
+        gear = int(rng.integers(gears.signs.size))
+        push = random_push(rng, gears, gear, 1.0)  # no piece is driven in part
+        drive = _driven(gears, start)
+        contact = _contact(push, gears, drive)
+        pose, _ = _pose_at(gears, drive, gear, 1.0)
+        distance = separation(push.body, pose[None], push.piece).distance[0]
+        assert contact.short == pytest.approx(push.distance - distance, abs=1e-9)
+        for knot in range(int(gears.first[gear + 1])):
+            owner = int(np.searchsorted(gears.first, knot, side="right")) - 1
+            if knot == gears.first[owner + 1] - 1 and gears.tails[owner] > 0.0:  # is fixed
+                continue
+            curvature = gears.curvature.copy()
+            curvature[knot] += d
+            other = gears._replace(curvature=curvature)
+            change = contact.short - _contact(push, other, _driven(other, start)).short
+            assert contact.moves[knot + owner] == pytest.approx(change / d, abs=1e-3)
+
+
+def test_pushes_are_found_where_the_robot_is_too_close_and_suffice():
+    path = Path((s_curve(),))
+    beside = path.pose_at(1.0) @ Pose2(0.1, -0.42, 0.0)
+    post = np.array([[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]) + beside.as_array()[:2]
+    robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), LIMITS)
+    problem = DockingProblem(path.start, Dock(path.end, final_straight=STRAIGHT), robot, [post], clearance=0.05)
+    pushes = pushes_off(path, problem)
+    assert len(pushes) == 1
+    s = np.linspace(0.0, path.length, 2000)
+    distances = separation(robot.footprint.bodies[0], path.poses_at(s), problem.obstacles.pieces(np.zeros(2000, int)))
+    nearest = s[np.argmin(distances.distance)]
+    assert pushes[0].share * path.length == pytest.approx(nearest, abs=0.02)
+    assert pushes_off(path, dataclasses.replace(problem, clearance=0.0)) == []
+    found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=pushes)
+    assert pushes_off(found, problem) == []
+    along = [post + 0.05 * k * np.array([1.0, 0.2]) for k in range(-15, 15)]
+    wall = dataclasses.replace(problem, obstacles=along)
+    worst = pushes_off(path, wall)
+    assert 1 < len(worst) <= 8
+    s = np.array([push.share * path.length for push in worst])
+    clearance, _ = compiled_clearances(path.poses_at(s), robot.footprint, wall.all_obstacles)
+    assert np.all(np.diff(clearance) >= -1e-9)  # the closest ones first
+
+
 @needs_compiler
 def test_kernels_return_what_their_twins_do():
     rng = np.random.default_rng(3)
@@ -242,6 +312,7 @@ def test_kernels_return_what_their_twins_do():
             gear, share = int(rng.integers(gears.signs.size)), float(rng.choice([0.0, 0.4, 1.0]))
             drive = _driven(gears, start)
             _moves(gears, drive, place_at(gears, drive, gear, share, np.array([0.3, -0.2]))[1])
+            _contact(random_push(rng, gears, gear, share), gears, drive)
 
 
 @needs_compiler
