@@ -51,7 +51,7 @@ from optdock.planning.deformation import Push, pushes_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time, sampled_bounds
-from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, begun_at, braking
+from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
@@ -404,7 +404,7 @@ class _Replanning:
         world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
         if self.drive.is_on_the_path:
             rest = path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY)))
-            found = prove_way(rest, world, begun=begun_at(rest.start, world))
+            found = prove_way(rest, world)
         else:
             rest = path.piece(min(max(0.0, self.drive.now.s - _NEARBY), max(0.0, path.length - NO_WAY)))
             found = self._goes_back(path, world)
@@ -465,7 +465,7 @@ class _Replanning:
             way = trajectory.path
             if not now.is_at_the_end:
                 way = now.path.piece(now.s, now.s + max(before + driven, NO_WAY))
-            clear = prove_way(way, self.drive.world, self.drive.state.pose, begun=begun_at(way.start, self.drive.world))
+            clear = prove_way(way, self.drive.world, self.drive.state.pose)
             reason = why if clear else f"{why}; the stop is not proven: {clear.reason}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"

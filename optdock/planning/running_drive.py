@@ -26,7 +26,6 @@ from optdock.verification import (
     prove_way,
     unchanged_way,
 )
-from optdock.verification.conservative_advancement import Begun
 
 if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits
@@ -155,7 +154,9 @@ class RunningDrive:
         off = footprint.displacement(pose, self.reference)
         if not off <= self.world.robot.tracking.width(footprint):
             return False
-        return bool(off <= self.world.tube_widths(place.as_array()[None], place, _clearance(place, self.world))[0])
+        at = place.as_array()[None]
+        clearances, _ = compiled_clearances(at, footprint, self.world.all_obstacles)
+        return bool(off <= self.world.tube_widths(at, place, float(clearances[0]))[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
         """Return the state after `lead` seconds.
@@ -211,8 +212,7 @@ class RunningDrive:
             known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
             if known is not None:
                 return WayVerdict(known)
-        way = self.ahead.piece(now.s, joint.s)
-        return prove_way(way, self.world, self.state.pose, begun=begun_at(way.start, self.world))
+        return prove_way(self.ahead.piece(now.s, joint.s), self.world, self.state.pose)
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
         """Return the current problem with the joint as its start."""
@@ -223,18 +223,6 @@ class RunningDrive:
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])
         return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
-
-
-def begun_at(start: Pose2, world: DockingProblem) -> Begun | None:
-    """Return the beginning of a drive for `prove_way`, or None if the start is too close to an obstacle."""
-    clearance = _clearance(start, world)
-    return Begun(start, clearance) if clearance >= world.path_clearance.required else None
-
-
-def _clearance(pose: Pose2, world: DockingProblem) -> float:
-    """Return the clearance of a pose [m]."""
-    clearances, _ = compiled_clearances(pose.as_array()[None], world.robot.footprint, world.all_obstacles)
-    return float(clearances[0])
 
 
 # Shares of the deceleration to try: in a bend the yaw acceleration may allow no more.
