@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.samples.tube import Tube
 
@@ -16,16 +17,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.executor.planning import DrivenMotion
+    from optdock.geometry.arrays import FloatArray
     from optdock.model.clearance_rule import ClearanceRule
     from optdock.model.path import Path
     from optdock.model.robot import Robot
 
-__all__ = ["TubeMonitor"]
+__all__ = ["TubeMonitor", "least_excess"]
 
 _WATCHED = 0.005  # [m]: leaving a narrower tube, such as at contact, does not start a plan, as noise may be the cause
 _LAST_REPLAN = 0.15  # [m] in front of the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
 _ROUNDING = 1e-9  # [m]
+_CURVED = 1e-5  # [m]: effect of the heading between two samples, where the curvature changes its sign
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
 
 
@@ -59,11 +62,34 @@ class TubeMonitor:
     @functools.cached_property
     def _least_widths(self) -> list[float]:
         """Lower bounds of the width of the tube between the sampled poses [m]."""
-        problem, places = self._motion.problem, self._poses.places
+        places = self._poses.places
         widths, step = self._tube.width_at(places), float(places[1])
-        steepest = sum(_steepest(rule) for rule in (problem.path_clearance, problem.clearance))
-        least: list[float] = (0.5 * (widths[:-1] + widths[1:]) - 0.5 * step * steepest - _ROUNDING).tolist()
+        least: list[float] = (0.5 * (widths[:-1] + widths[1:]) - 0.5 * step * self._steepest - _ROUNDING).tolist()
         return least
+
+    @functools.cached_property
+    def _steepest(self) -> float:
+        """Bound of the change of the tube's width per distance [1]."""
+        problem = self._motion.problem
+        return _steepest(problem.path_clearance) + _steepest(problem.clearance)
+
+    @functools.cached_property
+    def _samples(self) -> FloatArray:
+        """Samples of the tube for `least_excess`, Shape (n + 1, 5)."""
+        tube, step = self._tube, self._tube.places.item(1)
+        chords = np.hypot(*np.diff(tube.poses[:, :2], axis=0).T)
+        # A curve between two points lies in the ellipse around them whose long axis is the length of the curve.
+        sag = 0.5 * np.sqrt(np.maximum(step * step - chords * chords, 0.0))
+        widths = 0.5 * (tube.widths[:-1] + tube.widths[1:]) + 0.5 * step * self._steepest + _CURVED
+        bounds = np.append(np.column_stack((sag, widths)), [[0.0, 0.0]], axis=0)
+        return np.column_stack((tube.poses, bounds))
+
+    def _is_surely_outside(self, robot: Pose2, s: float) -> bool:
+        """Whether no pose of the path within 0.25 m of an arc length [m] has the robot in its tube; False: unknown."""
+        step, last = self._tube.places.item(1), len(self._samples) - 1
+        first = min(max(math.floor((s - _LEAP) / step) - 1, 0), last - 1)
+        end = min(math.ceil((s + _LEAP) / step) + 1, last)
+        return least_excess(self._samples[first : end + 1], (robot.x, robot.y, robot.yaw), self._radius) > 0.0
 
     def time_at(self, s: float) -> float:
         """Return the time [s] at which the plan passes an arc length [m] of the path."""
@@ -91,6 +117,8 @@ class TubeMonitor:
             or moved <= float(self._tube.width_at(np.array([s]))[0])
         ):
             return False
+        if self._is_outside and self._is_surely_outside(robot, s):
+            return False
         # The deviation above is relative to this pose; another pose of the path may be nearer.
         found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
         moved, width = float(found.displacement[0]), float(found.width[0])
@@ -101,6 +129,35 @@ class TubeMonitor:
         detail = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m of the footprint; certified: {width:.4f} m"
         self._report("tube left" if is_outside else "tube entered", detail)
         return is_outside and width >= _WATCHED and path.length - s > _LAST_REPLAN
+
+
+_LEAST = Kernel("optdock_least_excess", sizes=1, numbers=4)
+
+
+def _least_excess_natively(samples: FloatArray, pose: tuple[float, float, float], radius: float) -> float:
+    n, out = len(samples) - 1, np.empty(1)
+    _LEAST((n,), (*pose, radius), ((samples, 5 * n + 5), (out, 1)))
+    return out.item()
+
+
+@twin_of(_least_excess_natively)
+def least_excess(samples: FloatArray, pose: tuple[float, float, float], radius: float) -> float:
+    """Return a lower bound of the displacement of a footprint from the poses of a path, beyond the width of the tube.
+
+    Args:
+        samples: Shape (n + 1, 5): x [m], y [m], yaw [rad] of sampled poses; of the part of the path that begins there,
+            a bound of its distance from the straight line to the next pose, and of the width of the tube [m].
+        pose: x [m], y [m], yaw [rad] of the footprint.
+        radius: Its circumscribed radius [m].
+    """
+    (x, y, yaw), begin, step = pose, samples[:-1], np.diff(samples[:, :2], axis=0)
+    off, square = (x, y) - begin[:, :2], (step * step).sum(axis=1)
+    share = np.clip((off * step).sum(axis=1) / np.where(square > 0.0, square, np.inf), 0.0, 1.0)
+    off = off - share[:, None] * step
+    first, second = np.sin(0.5 * (begin[:, 2] - yaw)), np.sin(0.5 * (samples[1:, 2] - yaw))
+    turned = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
+    excess = np.sqrt((off * off).sum(axis=1)) + 2.0 * radius * turned - begin[:, 3] - begin[:, 4]
+    return float(excess.min())
 
 
 class _SampledPath:
