@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.obstacles import ObstacleSet, box_distance
-from optdock.geometry.pose import arc_end, displacement
+from optdock.geometry.pose import arc_end
 from optdock.geometry.separation import separation
 from optdock.kernels import Kernel, twin_of
 from optdock.model.cell_obstacles import obstacles_from_costmap
@@ -98,7 +98,8 @@ class LookAhead:
         if clear is None or around is None or around.context is not context:
             return False
         off = math.hypot(pose.x - clear.x, pose.y - clear.y)
-        moved = float(displacement(off, pose.yaw - clear.yaw, radius_of(footprint)))
+        turned = abs(math.sin(0.5 * (pose.yaw - clear.yaw)))
+        moved = off + 2.0 * radius_of(footprint) * turned  # see `displacement`
         return moved + reach < clear.clearance and around.obstacles() is clear.obstacles
 
     def obstruction(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.samples.tube import Tube
@@ -60,12 +60,26 @@ class TubeMonitor:
         return Tube(self._trajectory.path, self._motion.problem, self._motion.start_relief)
 
     @functools.cached_property
+    def _mean_widths(self) -> FloatArray:
+        """Mean widths of the tube between its sampled poses, Shape (n,) [m]."""
+        widths: FloatArray = 0.5 * (self._tube.widths[:-1] + self._tube.widths[1:])
+        return widths
+
+    @functools.cached_property
+    def _step(self) -> float:
+        """Distance between the sampled poses of the tube [m]."""
+        return self._tube.places.item(1)
+
+    @functools.cached_property
     def _least_widths(self) -> list[float]:
-        """Lower bounds of the width of the tube between the sampled poses [m]."""
-        places = self._poses.places
-        widths, step = self._tube.width_at(places), float(places[1])
-        least: list[float] = (0.5 * (widths[:-1] + widths[1:]) - 0.5 * step * self._steepest - _ROUNDING).tolist()
+        """Lower bounds of the width of the tube between its sampled poses [m]."""
+        least: list[float] = (self._mean_widths - 0.5 * self._step * self._steepest - _ROUNDING).tolist()
         return least
+
+    def _least_width_at(self, s: float) -> float:
+        """Return a lower bound of the width of the tube at an arc length [m]."""
+        least = self._least_widths
+        return least[min(max(int(s / self._step), 0), len(least) - 1)]
 
     @functools.cached_property
     def _steepest(self) -> float:
@@ -76,17 +90,20 @@ class TubeMonitor:
     @functools.cached_property
     def _samples(self) -> FloatArray:
         """Samples of the tube for `least_excess`, Shape (n + 1, 5)."""
-        tube, step = self._tube, self._tube.places.item(1)
+        tube, step = self._tube, self._step
         chords = np.hypot(*np.diff(tube.poses[:, :2], axis=0).T)
         # A curve between two points lies in the ellipse around them whose long axis is the length of the curve.
         sag = 0.5 * np.sqrt(np.maximum(step * step - chords * chords, 0.0))
-        widths = 0.5 * (tube.widths[:-1] + tube.widths[1:]) + 0.5 * step * self._steepest + _CURVED
+        # The slope of the width between two samples is one of those beside them.
+        change = np.abs(np.diff(tube.widths, prepend=tube.widths[0], append=tube.widths[-1]))
+        change = np.maximum(np.maximum(change[:-2], change[1:-1]), change[2:])
+        widths = self._mean_widths + 0.5 * change + _CURVED
         bounds = np.append(np.column_stack((sag, widths)), [[0.0, 0.0]], axis=0)
         return np.column_stack((tube.poses, bounds))
 
     def _is_surely_outside(self, robot: Pose2, s: float) -> bool:
         """Whether no pose of the path within 0.25 m of an arc length [m] has the robot in its tube; False: unknown."""
-        step, last = self._tube.places.item(1), len(self._samples) - 1
+        step, last = self._step, len(self._samples) - 1
         first = min(max(math.floor((s - _LEAP) / step) - 1, 0), last - 1)
         end = min(math.ceil((s + _LEAP) / step) + 1, last)
         return least_excess(self._samples[first : end + 1], (robot.x, robot.y, robot.yaw), self._radius) > 0.0
@@ -111,10 +128,9 @@ class TubeMonitor:
         self.time = max(time, self.time_at(s))
         if not self._is_proven:
             return False
-        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, self._radius))
+        moved = math.hypot(off.x, off.y) + 2.0 * self._radius * abs(math.sin(0.5 * off.yaw))  # see `displacement`
         if not self._is_outside and (
-            moved <= self._least_widths[self._poses.interval_of(s)]
-            or moved <= float(self._tube.width_at(np.array([s]))[0])
+            moved <= self._least_width_at(s) or moved <= float(self._tube.width_at(np.array([s]))[0])
         ):
             return False
         if self._is_outside and self._is_surely_outside(robot, s):

@@ -54,10 +54,10 @@ def test_the_least_width_is_below_every_width(motion):
     path = motion.trajectory.path
     places = np.linspace(0.0, path.length, 2000)
     widths = Tube(path, motion.problem, 0.0).width_at(places)
-    least = np.array([monitor._least_widths[monitor._poses.interval_of(s)] for s in places.tolist()])
+    least = np.array([monitor._least_width_at(s) for s in places.tolist()])
     assert np.all(least <= widths)
     if motion.problem.clearance.taper > 0.3:
-        assert np.quantile(widths - least, 0.9) < 0.015  # otherwise it would decide nothing
+        assert np.quantile(widths - least, 0.9) < 0.003  # otherwise it would decide nothing
 
 
 def random_poses(motion, count):
