@@ -128,10 +128,12 @@ class LookAhead:
         room = 0.0 if self._around is None else self._around.room(way[0], radius)
         x, y, yaw = way[0].tolist()
         self._clear = _Clear(x, y, yaw, min(float(distance[0].min(initial=_FAR)), room), obstacles)
+        if float(distance.min(initial=_FAR)) >= 0.0:
+            return None
         rows = np.flatnonzero(distance.min(axis=0) < 0.0)
         distance = distance[:, rows]
         before = distance[0] - _DEEPER
-        if rows.size == 0 or bool(np.all(distance.min(axis=0) >= np.minimum(0.0, before))):
+        if bool(np.all(distance.min(axis=0) >= np.minimum(0.0, before))):
             return None
         at_contacts = self._at_contacts(footprint, contacts, obstacles)[:, rows]
         touched = (at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)

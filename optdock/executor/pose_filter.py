@@ -354,11 +354,11 @@ class PoseFilter:
             other agreeing measurements; `forgotten` if the measurement is older than the stored motion or in the
             future.
         """
-        pose, delay = self.pose, float(self.systematic[2])
-        if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
+        pose, delay, first, last = self.pose, self.systematic.item(2), self.remembered_from, self.stamp
+        if not first <= stamp <= last + AHEAD:
             return "forgotten"
         velocity = self._velocity_at(stamp - delay)
-        then, ahead = self.pose_at(max(stamp - delay, self._reckoned[0][0])), max(stamp - delay - self.stamp, 0.0)
+        then, ahead = self.pose_at(max(stamp - delay, first)), max(stamp - delay - last, 0.0)
         if ahead > 0.0:  # the odometry is later than the measurement
             x, y, yaw = velocity
             then = Pose2(then.x + ahead * x, then.y + ahead * y, then.yaw + ahead * yaw)

@@ -122,7 +122,7 @@ class TubeMonitor:
         path = self._trajectory.path
         begin = self._trajectory.time_law.state_at(time)[0]
         place, gear = self._poses.at(begin)
-        ahead = gear * robot.in_frame_of(place).x
+        ahead = gear * (math.cos(place.yaw) * (robot.x - place.x) + math.sin(place.yaw) * (robot.y - place.y))
         s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
         self.deviation = off = robot.in_frame_of(self._poses.at(s)[0])
         self.time = max(time, self.time_at(s))
