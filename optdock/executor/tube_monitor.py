@@ -28,7 +28,7 @@ _WATCHED = 0.005  # [m]: leaving a narrower tube, such as at contact, does not s
 _LAST_REPLAN = 0.15  # [m] in front of the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
 _ROUNDING = 1e-9  # [m]
-_CURVED = 1e-5  # [m]: effect of the heading between two samples, where the curvature changes its sign
+_PARTS = 8  # of an interval of the path that may be inside the tube
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
 
 
@@ -89,17 +89,16 @@ class TubeMonitor:
 
     @functools.cached_property
     def _samples(self) -> FloatArray:
-        """Samples of the tube for `least_excess`, Shape (n + 1, 5)."""
+        """Samples of the tube for `least_excess`, Shape (n + 1, 4)."""
         tube, step = self._tube, self._step
         chords = np.hypot(*np.diff(tube.poses[:, :2], axis=0).T)
         # A curve between two points lies in the ellipse around them whose long axis is the length of the curve.
         sag = 0.5 * np.sqrt(np.maximum(step * step - chords * chords, 0.0))
-        # The slope of the width between two samples is one of those beside them.
-        change = np.abs(np.diff(tube.widths, prepend=tube.widths[0], append=tube.widths[-1]))
-        change = np.maximum(np.maximum(change[:-2], change[1:-1]), change[2:])
-        widths = self._mean_widths + 0.5 * change + _CURVED
-        bounds = np.append(np.column_stack((sag, widths)), [[0.0, 0.0]], axis=0)
-        return np.column_stack((tube.poses, bounds))
+        # Between two samples, the width changes at most as much as beside them, and the yaw by a part of each change.
+        change, turn = np.abs(np.diff(tube.widths)), np.diff(tube.poses[:, 2])
+        bent = 0.5 * self._radius * _largest_beside(np.abs(np.diff(turn, append=turn[-1])))
+        bound = self._mean_widths + 0.5 * _largest_beside(change) + sag + bent + _ROUNDING
+        return np.column_stack((tube.poses, np.append(bound, 0.0)))
 
     def _is_surely_outside(self, robot: Pose2, s: float) -> bool:
         """Whether no pose of the path within 0.25 m of an arc length [m] has the robot in its tube; False: unknown."""
@@ -152,7 +151,7 @@ _LEAST = Kernel("optdock_least_excess", sizes=1, numbers=4)
 
 def _least_excess_natively(samples: FloatArray, pose: tuple[float, float, float], radius: float) -> float:
     n, out = len(samples) - 1, np.empty(1)
-    _LEAST((n,), (*pose, radius), ((samples, 5 * n + 5), (out, 1)))
+    _LEAST((n,), (*pose, radius), ((samples, 4 * n + 4), (out, 1)))
     return out.item()
 
 
@@ -161,19 +160,34 @@ def least_excess(samples: FloatArray, pose: tuple[float, float, float], radius: 
     """Return a lower bound of the displacement of a footprint from the poses of a path, beyond the width of the tube.
 
     Args:
-        samples: Shape (n + 1, 5): x [m], y [m], yaw [rad] of sampled poses; of the part of the path that begins there,
-            a bound of its distance from the straight line to the next pose, and of the width of the tube [m].
+        samples: Shape (n + 1, 4): x [m], y [m], yaw [rad] of sampled poses; of the part of the path that begins there,
+            a bound of the tube's width plus the displacement from linear motion [m].
         pose: x [m], y [m], yaw [rad] of the footprint.
         radius: Its circumscribed radius [m].
     """
-    (x, y, yaw), begin, step = pose, samples[:-1], np.diff(samples[:, :2], axis=0)
-    off, square = (x, y) - begin[:, :2], (step * step).sum(axis=1)
-    share = np.clip((off * step).sum(axis=1) / np.where(square > 0.0, square, np.inf), 0.0, 1.0)
-    off = off - share[:, None] * step
-    first, second = np.sin(0.5 * (begin[:, 2] - yaw)), np.sin(0.5 * (samples[1:, 2] - yaw))
-    turned = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
-    excess = np.sqrt((off * off).sum(axis=1)) + 2.0 * radius * turned - begin[:, 3] - begin[:, 4]
-    return float(excess.min())
+    whole = _displacements(samples, pose, radius, 1)[0] - samples[:-1, 3]
+    parts = _displacements(samples, pose, radius, _PARTS).min(axis=0) - samples[:-1, 3]
+    return float(np.where(whole <= 0.0, parts, whole).min())
+
+
+def _displacements(samples: FloatArray, pose: tuple[float, float, float], radius: float, parts: int) -> FloatArray:
+    """Return lower bounds of the displacement from linear motion in every part of every interval, Shape (parts, n)."""
+    (x, y, yaw), begin, step = pose, samples[:-1, :3], np.diff(samples[:, :3], axis=0)
+    off, square = (x, y) - begin[:, :2], (step[:, :2] ** 2).sum(axis=1)
+    borders = np.linspace(0.0, 1.0, parts + 1)[:, None]
+    share = (off * step[:, :2]).sum(axis=1) / np.where(square > 0.0, square, np.inf)
+    share = np.minimum(np.maximum(share, borders[:-1]), borders[1:])
+    distance = np.sqrt((off[:, 0] - share * step[:, 0]) ** 2 + (off[:, 1] - share * step[:, 1]) ** 2)
+    turned = np.sin(0.5 * (begin[:, 2] - yaw + borders * step[:, 2]))
+    least = np.where(turned[:-1] * turned[1:] > 0.0, np.minimum(np.abs(turned[:-1]), np.abs(turned[1:])), 0.0)
+    found: FloatArray = distance + 2.0 * radius * least
+    return found
+
+
+def _largest_beside(changes: FloatArray) -> FloatArray:
+    """Return the largest of every value and the values beside it. Shape (n,) each."""
+    padded = np.concatenate((changes[:1], changes, changes[-1:]))
+    return np.maximum(np.maximum(padded[:-2], changes), padded[2:])
 
 
 class _SampledPath:
