@@ -193,6 +193,7 @@ class MpcController(TrackingController):
         built = self._built
         if built is None or built.parameters is not p or (built.tube, built.is_ackermann) != (tube, is_ackermann):
             self._program = TrackingProgram(p.steps, self._weights, ackermann=is_ackermann, tube=tube)
+            self._program.load()
             self._built = _Built(p, tube, is_ackermann)
             self._to_go.clear()
         self._horizon = p.horizon

@@ -15,6 +15,7 @@ The limits of the commands do not depend on the measured pose, so the program is
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple
@@ -436,21 +437,26 @@ class TrackingProgram:
         h[[-2, -1], [-2, -1]] = 1.0  # the cost must be positive definite
         bounds[0, size - 2 : size] = 0.0
         self._is_degenerate = ackermann  # bounds of speed and curvature are dependent where steered wheels stand
-        self._solver = DenseProgram(size, rows, _MOST_ITERATIONS, None if ackermann else EXACT)
         g = np.zeros(size)
         g[-2:] = _EXACT
-        self._program = QuadraticProgram(h, g, np.zeros((rows, size)), bounds, size - 2, _NO_GUESS, self._dense)
+        self._program = QuadraticProgram(h, g, np.zeros((rows, size)), bounds, size - 2, _NO_GUESS, self.load)
         self._fixed = FixedData.of(steps)
         self._fixed.errors[:], self._fixed.change[:] = weights.errors, weights.change
         self._lengths = 0.0, 0.0
         self._limits: MotionLimits | None = None
         self.nominal: FloatArray = np.zeros((steps, 2))
 
-    def _dense(self) -> DenseProgram:
+    @functools.cached_property
+    def _solver(self) -> DenseProgram:
+        rows, size = self._program.a.shape
+        return DenseProgram(size, rows, _MOST_ITERATIONS, None if self._is_degenerate else EXACT)
+
+    def load(self) -> DenseProgram:
+        """Return DAQP's program, which is made by the first call; this takes longer than a cycle."""
         return self._solver
 
-    def solve(self, cycle: MpcCycle) -> Solution | None:
-        """Return the optimal commands; None if no solution is found within the iteration limit."""
+    def fill(self, cycle: MpcCycle) -> None:
+        """Set the data of a cycle."""
         (first, other), (h, h_other), span = cycle.lengths, self._lengths, self._fixed.spans.item(0)
         if max(abs(first - h), abs(other - h_other), abs(cycle.elapsed - span)) > _SAME_TIME:
             self._use_steps(cycle.lengths, cycle.elapsed)
@@ -459,6 +465,10 @@ class TrackingProgram:
         *_, self.nominal = filled(self._program, self._rows, self._fixed, cycle)
         if cycle.curvature is not None:
             self._fill_curvature(cycle, cycle.curvature)
+
+    def solve(self, cycle: MpcCycle) -> Solution | None:
+        """Return the optimal commands; None if no solution is found within the iteration limit."""
+        self.fill(cycle)
         # The next command must keep the jerk limit; later ones, on a coarse grid, may exceed it a little.
         found, exceeded = self._minimized(), 0.0
         if found is None:

@@ -166,7 +166,7 @@ def filled_program(cycle, weights, n, tube, lane):
     """Arrays of the program for a cycle, and the commands that follow the reference."""
     program = TrackingProgram(n, weights, ackermann=False, tube=tube)
     with using_kernels(lane):
-        program.solve(cycle)
+        program.fill(cycle)
     return *program._program[:4], program.nominal
 
 
@@ -187,7 +187,7 @@ def test_both_lanes_are_equal_up_to_rounding(seed):
 
 @pytest.mark.parametrize("lane", LANES)
 @pytest.mark.parametrize("seed", range(10))
-def test_commands_satisfy_the_bounds_and_cost_least(lane, seed):
+def test_plans_of_commands_satisfy_the_bounds_and_cost_least(lane, seed):
     """On the way from the solution to other feasible commands the cost rises, and at once."""
     random, n = np.random.default_rng(seed), 8
     weights = MpcWeights(*(random.uniform(0.1, 9.0, size) for size in (3, 2, 2, 3)))
