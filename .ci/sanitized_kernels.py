@@ -40,6 +40,8 @@ TESTS = (
     "tests/optdock/controllers/test_look_ahead.py",
     "tests/optdock/controllers/test_mpc_program.py",
     "tests/optdock/controllers/test_motion_table.py",
+    "tests/optdock/executor/test_pose_filter.py",
+    "tests/optdock/executor/test_tube_monitor.py",
     "tests/optdock/planners/manoeuvres/test_planner_kernels.py",
     "tests/optdock/planners/manoeuvres/test_search_kernels.py",
     "tests/optdock/timing/test_interior_point.py",

@@ -109,8 +109,7 @@ class DelayEstimate:
         self._since = [-_LONGEST_LATENCY]  # times of the commands [s], the oldest first
         self._commands = [0.0]  # [m/s]
         self._share_of_lag = 0.0
-        self._speeds = np.zeros((_LATENCIES.size, _LAGS.size))
-        self._misfit = np.zeros(self._speeds.shape)
+        self._models = np.zeros((2, _LATENCIES.size, _LAGS.size))  # speeds [m/s] and misfits [m^2/s]
         self._best = 0
 
     @property
@@ -128,12 +127,13 @@ class DelayEstimate:
         begin, self._now = self._now, self._now + period
         while len(self._since) > 2 and self._since[1] <= begin - _LONGEST_LATENCY:
             del self._since[0], self._commands[0]
-        self._speeds = advanced(self._speeds, self._since, self._commands, begin, period)
-        if abs(speed) < _MOVING:
+        is_moving = abs(speed) >= _MOVING
+        forgotten, weight = (math.exp(-period / _MEMORY), period) if is_moving else (1.0, 0.0)
+        history = self._since, self._commands
+        self._models = advanced(self._models, history, (begin, period), (speed, forgotten, weight))
+        if not is_moving:
             return
-        misfit = self._misfit
-        misfit *= math.exp(-period / _MEMORY)
-        misfit += period * (self._speeds - speed) ** 2
+        misfit = self._models[1]
         best = int(misfit.argmin())
         if misfit.item(best) < _BETTER * misfit.item(self._best):
             self._best = best
@@ -145,32 +145,43 @@ class DelayEstimate:
         self.delay += min(max(wanted - self.delay, -step), step)
 
 
-_ADVANCE = Kernel("optdock_delayed_speeds", sizes=3, numbers=2)
+_ADVANCE = Kernel("optdock_advance_models", sizes=3, numbers=5)
 
 
 def _advanced_natively(
-    speeds: FloatArray, since: list[float], commands: list[float], begin: float, period: float
+    models: FloatArray,
+    history: tuple[list[float], list[float]],
+    span: tuple[float, float],
+    measured: tuple[float, float, float],
 ) -> FloatArray:
-    (latencies, lags), given = speeds.shape, len(since)
-    out, history = np.empty(speeds.shape), np.array(since + commands)
-    arrays = (speeds, speeds.size), (history, 2 * given), (_MODELS, latencies + lags), (out, out.size)
-    _ADVANCE((latencies, lags, given), (begin, period), arrays)
+    (_, latencies, lags), given, count = models.shape, len(history[0]), models.size
+    out, commands = np.empty(models.shape), np.array(history[0] + history[1])
+    arrays = (models, count), (commands, 2 * given), (_MODELS, latencies + lags), (out, count)
+    _ADVANCE((latencies, lags, given), (*span, *measured), arrays)
     return out
 
 
 @twin_of(_advanced_natively)
-def advanced(speeds: FloatArray, since: list[float], commands: list[float], begin: float, period: float) -> FloatArray:
-    """Return the speeds of all models after a period, from the commands in force during this period.
+def advanced(
+    models: FloatArray,
+    history: tuple[list[float], list[float]],
+    span: tuple[float, float],
+    measured: tuple[float, float, float],
+) -> FloatArray:
+    """Return all models after a period, from the commands in force during this period and the speed at its end.
 
     Args:
-        speeds: Speeds at the begin, Shape (latencies, lags) [m/s].
-        since: Times at which the commands came into force, ascending; the first is not later than the begin minus the
-            longest latency [s].
-        commands: Speeds that were commanded [m/s].
-        begin: Begin of the period [s].
-        period: Duration of the period [s].
+        models: Speeds [m/s] and misfits [m^2/s] at the begin, Shape (2, latencies, lags).
+        history: Times at which the commands came into force, ascending; the first is not later than the begin minus the
+            longest latency [s]. Speeds that were commanded [m/s].
+        span: Begin and duration of the period [s].
+        measured: Speed at the end [m/s], factor on the misfits, and the duration for which the new errors count [s].
+
+    Returns:
+        Shape (2, latencies, lags).
     """
-    times, values = np.array(since), np.array(commands)
+    speeds, misfits = models
+    (times, values), (begin, period), (speed, kept, weight) = map(np.array, history), span, measured
     start, end = begin - _LATENCIES, begin - _LATENCIES + period
     first = np.searchsorted(times, start, side="right") - 1
     last = np.searchsorted(times, end, side="left") - 1
@@ -183,4 +194,4 @@ def advanced(speeds: FloatArray, since: list[float], commands: list[float], begi
             decay = np.where(time > 0.0, np.exp(-time / _LAGS), 1.0)
         speeds = decay * speeds + (1.0 - decay) * values[row][:, None]
         at = until
-    return speeds
+    return np.stack((speeds, kept * misfits + weight * (speeds - speed) ** 2))

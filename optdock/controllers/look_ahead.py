@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.obstacles import ObstacleSet, box_distance
-from optdock.geometry.pose import arc_end, displacement
+from optdock.geometry.pose import arc_end
 from optdock.geometry.separation import separation
 from optdock.kernels import Kernel, twin_of
 from optdock.model.cell_obstacles import obstacles_from_costmap
@@ -98,7 +98,8 @@ class LookAhead:
         if clear is None or around is None or around.context is not context:
             return False
         off = math.hypot(pose.x - clear.x, pose.y - clear.y)
-        moved = float(displacement(off, pose.yaw - clear.yaw, radius_of(footprint)))
+        turned = abs(math.sin(0.5 * (pose.yaw - clear.yaw)))
+        moved = off + 2.0 * radius_of(footprint) * turned  # see `displacement`
         return moved + reach < clear.clearance and around.obstacles() is clear.obstacles
 
     def obstruction(
@@ -127,10 +128,12 @@ class LookAhead:
         room = 0.0 if self._around is None else self._around.room(way[0], radius)
         x, y, yaw = way[0].tolist()
         self._clear = _Clear(x, y, yaw, min(float(distance[0].min(initial=_FAR)), room), obstacles)
+        if float(distance.min(initial=_FAR)) >= 0.0:
+            return None
         rows = np.flatnonzero(distance.min(axis=0) < 0.0)
         distance = distance[:, rows]
         before = distance[0] - _DEEPER
-        if rows.size == 0 or bool(np.all(distance.min(axis=0) >= np.minimum(0.0, before))):
+        if bool(np.all(distance.min(axis=0) >= np.minimum(0.0, before))):
             return None
         at_contacts = self._at_contacts(footprint, contacts, obstacles)[:, rows]
         touched = (at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)

@@ -272,12 +272,13 @@ class TrajectoryReference:
         At the first rate the reference is no faster than the robot, whose speed is `linear` [m/s]. If the robot is at
         rest, the reference begins later by the drive's `delay` [s], so that no command is omitted.
         """
-        grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
-        cusps = self.trajectory.cusp_times
-        mine = grid.t <= cusps[0] if cusps.size else np.ones(grid.t.size, dtype=bool)
-        distance = np.hypot(grid.x[mine] - pose.x, grid.y[mine] - pose.y)
+        times, cusps = np.linspace(0.0, self.trajectory.duration, _SAMPLES), self.trajectory.cusp_times
+        if cusps.size:
+            times = times[times <= cusps[0]]
+        motion = motion_table(self.trajectory).at(times)
+        distance = np.hypot(motion[:, 1] - pose.x, motion[:, 2] - pose.y)
         first = 0 if distance[0] <= _AT_START else int(np.argmin(distance))
-        self.time, speed = float(grid.t[first]), float(grid.speed[first])
+        self.time, speed = times.item(first), motion.item(first, 4)
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))
         elif first == 0:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections import deque
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,7 +19,6 @@ from optdock.controllers.mpc_program import (
     MpcCycle,
     MpcWeights,
     TrackingProgram,
-    condensed,
     cost_to_go,
 )
 from optdock.controllers.tracking_controller import TrackingController, TrackingControllerParameters
@@ -99,7 +97,7 @@ class _Plan(NamedTuple):
     """Commands of a cycle solved at `stamp`, Shape (n, 2), and the time after it at which each begins [s]."""
 
     stamp: float
-    times: list[float]
+    times: FloatArray
     commands: FloatArray
 
 
@@ -113,22 +111,21 @@ class _CostToGo(NamedTuple):
 class _Grid(NamedTuple):
     """Steps of the horizon.
 
-    `times`: borders of the n steps [s]; `steps`: their lengths, Shape (n,) [s]; `previews`: times of the reference
-    poses that the program uses, Shape (2 n + 2,) [s].
+    `times`: borders of the n steps, Shape (n + 1,) [s]; `lengths` of the first and of every other step [s]; `previews`:
+    times of the reference poses that the program uses, Shape (2 n + 2,) [s].
     """
 
-    times: list[float]
-    steps: FloatArray
+    times: FloatArray
+    lengths: tuple[float, float]
     previews: FloatArray
 
 
 class _Built(NamedTuple):
-    """Parameters and data of the robot for which the program was built, and the weights of the errors per second."""
+    """Parameters and data of the robot for which the program was built."""
 
     parameters: MpcControllerParameters
     tube: tuple[float, float] | None
     is_ackermann: bool
-    weights: FloatArray
 
 
 class MpcController(TrackingController):
@@ -195,9 +192,9 @@ class MpcController(TrackingController):
         p, tube, is_ackermann = self.parameters, self._tube, self._drive is Drive.ACKERMANN
         built = self._built
         if built is None or built.parameters is not p or (built.tube, built.is_ackermann) != (tube, is_ackermann):
-            weights = self._weights
-            self._program = TrackingProgram(p.steps, weights, ackermann=is_ackermann, in_tube=tube is not None)
-            self._built = _Built(p, tube, is_ackermann, weights.errors)
+            self._program = TrackingProgram(p.steps, self._weights, ackermann=is_ackermann, tube=tube)
+            self._program.load()
+            self._built = _Built(p, tube, is_ackermann)
             self._to_go.clear()
         self._horizon = p.horizon
         if self._reference is not None:
@@ -272,16 +269,17 @@ class MpcController(TrackingController):
             self._prepare()
         # The model contains neither braking after a cancellation nor turning of steered wheels at rest.
         turning = self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished
-        if self._cancelled or turning or self._built is None:
+        if self._cancelled or turning or self._program is None:
             self._nominal = self._limiter.allowed = None
             return super()._wanted(reference, now, error, accepted)
-        cycle = self._cycle(reference, self._built)
-        (v, w), (nominal_v, nominal_w) = self._solved(cycle), cycle.condensed.nominal[0].tolist()
-        self._nominal = nominal_v, nominal_w
+        grid, self._grid = self._grid or self._new_grid(), None
+        cycle = self._cycle(reference, grid)
+        v, w = self._solved(self._program, cycle, grid.times)
+        self._nominal = self._program.nominal.item(0), self._program.nominal.item(1)
         most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
         w = min(max(w, -most), most)
-        if cycle.bounds.curvature is not None:
-            least, most = sorted((cycle.bounds.curvature[:, 0] * v).tolist())
+        if cycle.curvature is not None:
+            least, most = sorted((cycle.curvature[:, 0] * v).tolist())
             w = min(max(w, least), most)
         self._limiter.allowed = Twist2(v, w)
         return self._limiter.allowed
@@ -295,33 +293,34 @@ class MpcController(TrackingController):
     def _new_grid(self) -> _Grid:
         """Return the steps of the horizon, which begins when the next command takes effect."""
         n, period, (latency, lag) = self.parameters.steps, self._clock.period, self._delays
-        steps = [period, *[max(period, (self._horizon - period) / (n - 1))] * (n - 1)]
-        t = list(itertools.accumulate(steps, initial=0.0))
+        lengths = period, max(period, (self._horizon - period) / (n - 1))
+        times = np.full(n + 1, lengths[1])
+        times[0], times[1] = 0.0, period
+        times.cumsum(out=times)
         # The nominal commands lead the reference by the lag.
-        previews = np.array([latency + at for at in t] + [latency + (at + lag) for at in t])
-        return _Grid(t, np.array(steps), previews)
+        return _Grid(times, lengths, np.concatenate((latency + times, latency + (times + lag))))
 
-    def _cycle(self, reference: TrajectoryReference, built: _Built) -> MpcCycle:
+    def _cycle(self, reference: TrajectoryReference, grid: _Grid) -> MpcCycle:
         """Return the data of the program for this cycle, beginning at the time when its command takes effect."""
-        (t, h, previews), (latency, lag) = self._grid or self._new_grid(), self._delays
-        self._grid = None
-        poses = reference.poses_ahead(previews)
-        trajectory, time = reference.trajectory_ahead(latency + t[-1])
+        (latency, lag), last = self._delays, self._limiter.command
+        poses = reference.poses_ahead(grid.previews)
+        trajectory, time = reference.trajectory_ahead(latency + grid.times.item(-1))
         times, costs = self._to_go[trajectory]
         pose, velocity = self._at_effect(latency, lag)
         seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
-        state = np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular])
-        cost = costs[min(bisect_left(times, time), len(times) - 1)]
-        errors, last = condensed(poses, h, lag, state, built.weights, cost), self._limiter.command
         return MpcCycle(
-            condensed=errors,
+            poses=poses,
+            lengths=grid.lengths,
+            lag=lag,
+            state=(seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular),
+            after=costs[min(bisect_left(times, time), len(times) - 1)],
             nominal_before=(last.linear, last.angular) if self._nominal is None else self._nominal,
-            h=h,
-            elapsed=self._clock.elapsed,
-            bounds=self._bounds(errors.nominal[:, 0], h),
             last=(last.linear, last.angular),
             last_acceleration=self._limiter.acceleration,
-            tube=built.tube,
+            elapsed=self._clock.elapsed,
+            bounds=self._bounds(),
+            limits=self._limits,
+            curvature=self._reachable_curvature(grid.times[1:]) if self._drive is Drive.ACKERMANN else None,
         )
 
     def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
@@ -347,58 +346,44 @@ class MpcController(TrackingController):
             v, w = command.linear + decay * more_v, command.angular + decay * more_w
         return Pose2(x, y, yaw), Twist2(v, w)
 
-    def _solved(self, cycle: MpcCycle) -> tuple[float, float]:
-        """Return speed and yaw rate of the next command, and set `status`."""
-        now = self._clock.now or 0.0
-        found = None if self._program is None else self._program.solve(cycle)
+    def _solved(self, program: TrackingProgram, cycle: MpcCycle, times: FloatArray) -> tuple[float, float]:
+        """Return speed and yaw rate of the next command, and set `status`; `times`: borders of the steps [s]."""
+        now, found = self._clock.now or 0.0, program.solve(cycle)
         if found is not None:
             exceeded = found.over_jerk > _JERK_TOLERANCE * self._limits.max_jerk
             self.status = MpcStatus(CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED, found.outside)
-            times = list(itertools.accumulate(cycle.h.tolist(), initial=0.0))[:-1]
-            self._plan = _Plan(now, times, found.commands)
-            v, w = found.commands[0].tolist()
-            return v, w
+            self._plan = _Plan(now, times[:-1], found.commands)
+            return found.commands.item(0), found.commands.item(1)
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
             raise NoValidControl(
                 f"{self.name}: no commands were found for {self._horizon:g} s, and earlier commands are used "
                 f"up; plan again from here"
             )
-        begun = bisect_right(self._plan.times, now - self._plan.stamp) - 1
+        begun = int(self._plan.times.searchsorted(now - self._plan.stamp, side="right")) - 1
         v, w = self._plan.commands[max(begun, 0)].tolist()
         return v, w
 
-    def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
-        """Return the bounds of the commands that follow the last command, about nominal speeds, Shape (n,)."""
+    def _bounds(self) -> CommandBounds:
+        """Return the bounds of the next command."""
         limits, period, last = self._limits, self._clock.elapsed, self._limiter.command.linear
-        acceleration = _accelerations(nominal, limits)
-        for row, most in enumerate((-_MOST, _MOST)):
-            acceleration[row, 0] = (reachable_speed(last, most, limits, period) - last) / period
-        speed = _both_ways(limits.max_reverse_speed, limits.max_speed, nominal.size)
-        for row, sign, top in ((0, -1.0, limits.max_reverse_speed), (1, 1.0, limits.max_speed)):
-            room = top - sign * last  # the next command must be able to level out within it
-            speed[row, 0] = last + sign * min(room, period * fastest_slope(room, limits.max_jerk, period))
-        curvature = gear = None
-        if self._drive is Drive.ACKERMANN:
-            gear, going = np.sign(np.where(np.abs(nominal) > _AT_REST, nominal, 0.0)), math.copysign(1.0, last)
-            # During a change of gear the sign of the speed is unknown, and the wheels are kept straight.
-            braking = braking_time(abs(last), limits.max_deceleration, limits.max_jerk)
-            gear[(np.cumsum(h) - h < braking) & (gear != going)] = 0.0
-            speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
-            curvature = self._reachable_curvature(np.cumsum(h))
-        # Speed times yaw rate is linearized about the last command and the nominal commands; the remainder of the next
-        # command is at most the product of both changes.
-        lateral = _both_ways(limits.max_lateral_acceleration, limits.max_lateral_acceleration, nominal.size)
+        least, most = ((reachable_speed(last, far, limits, period) - last) / period for far in (-_MOST, _MOST))
+        # The next command must be able to level out within the largest speed.
+        down, up = limits.max_reverse_speed + last, limits.max_speed - last
+        lowest = last - min(down, period * fastest_slope(down, limits.max_jerk, period))
+        highest = last + min(up, period * fastest_slope(up, limits.max_jerk, period))
+        # The remainder of the linearized lateral acceleration is at most the product of both changes.
+        lateral = limits.max_lateral_acceleration
         if math.isfinite(limits.max_yaw_acceleration):
             rest = max(limits.max_acceleration, limits.max_deceleration) * limits.max_yaw_acceleration * period**2
-            lateral[:, 0] *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
-        return CommandBounds(limits, speed, acceleration, lateral, curvature, gear)
+            lateral *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
+        return CommandBounds((lowest, highest), (least, most), lateral)
 
     def _reachable_curvature(self, times: FloatArray) -> FloatArray:
         """Return the least and the largest curvature that the wheels can reach at `times`, Shape (2, n)."""
         limits = self._limits
         if not math.isfinite(limits.max_steering_rate):
-            return _both_ways(limits.max_curvature, limits.max_curvature, times.size)
+            return np.repeat([[-limits.max_curvature], [limits.max_curvature]], times.size, axis=1)
         angle = math.atan(limits.wheelbase * (self._limiter.curvature or 0.0))
         turned = np.array([[-1.0], [1.0]]) * limits.max_steering_rate * times
         most = math.atan(limits.wheelbase * limits.max_curvature)
@@ -446,22 +431,3 @@ class _ProgramLimiter(CommandLimiter):
         if abs(command.linear) > _AT_REST:
             self.curvature = command.angular / command.linear
         return command
-
-
-def _accelerations(speeds: FloatArray, limits: MotionLimits) -> FloatArray:
-    """Return the bounds of the accelerations between nominal speeds, Shape (n,). Shape (2, n) [m/s^2]."""
-    rise, fall = limits.max_acceleration, limits.max_deceleration
-    least, most = float(speeds.min()), float(speeds.max())
-    if least > 0.0 or most < 0.0:
-        return _both_ways(fall, rise, speeds.size) if least > 0.0 else _both_ways(rise, fall, speeds.size)
-    travel, either = np.sign(speeds + np.concatenate((speeds[:1], speeds[:-1]))), min(rise, fall)
-    up = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
-    down = np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
-    return np.array([-down, up])
-
-
-def _both_ways(down: float, up: float, count: int) -> FloatArray:
-    """Return equal bounds of `count` values, from -`down` to `up`, Shape (2, count)."""
-    bounds = np.empty((2, count))
-    bounds[0], bounds[1] = -down, up
-    return bounds

@@ -1,4 +1,4 @@
-"""The tracking problem over a short horizon as a quadratic program, solved by DAQP.
+"""The tracking problem over a short horizon as a quadratic program.
 
 The state is z = (along, cross, yaw error, speed, yaw rate) relative to the moving reference. Over one step of length h
 the reference moves along an arc with the mean velocity (v, w). The errors are linearized about this arc [DeLuca2001],
@@ -15,12 +15,16 @@ The limits of the commands do not depend on the measured pose, so the program is
 
 from __future__ import annotations
 
+import functools
+import itertools
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.kernels import Kernel, twin_of
-from optdock.quadratic_program import UNBOUNDED, DenseProgram
+from optdock.kernels import Kernel, kernels_lane, twin_of
+from optdock.model.constant_jerk import braking_time
+from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -40,8 +44,10 @@ __all__ = [
 
 _EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
+_AT_REST = 1e-6  # [m/s]
 _SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as zero
-_MOST_ITERATIONS = 300  # of the active-set method, about 3 ms; a warm start takes 20
+_MOST_ITERATIONS = 300  # of DAQP, about 3 ms; a warm start takes 20
+_NO_GUESS = np.empty(0, dtype=np.int64)
 
 
 class ReferenceArcs(NamedTuple):
@@ -197,27 +203,6 @@ class CondensedErrors(NamedTuple):
     gradient: FloatArray
 
 
-_CONDENSE = Kernel("optdock_condense", sizes=1, numbers=1)
-
-
-def _condensed_natively(
-    poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
-) -> CondensedErrors:
-    n = h.size
-    ends = 2 * n, 5 * n, 5 * n + 6 * n * n, 5 * n + 10 * n * n, 7 * n + 10 * n * n
-    out = np.empty(ends[-1] + 10 * n)
-    arrays = (poses, 6 * (n + 1)), (h, n), (state, 5), (weights, 3), (after, 9), (out, out.size)
-    _CONDENSE((n,), (lag,), arrays)
-    return CondensedErrors(
-        out[: ends[0]].reshape(n, 2),
-        out[ends[0] : ends[1]].reshape(n, 3),
-        out[ends[1] : ends[2]].reshape(n, 3, 2 * n),
-        out[ends[2] : ends[3]].reshape(2 * n, 2 * n),
-        out[ends[3] : ends[4]],
-    )
-
-
-@twin_of(_condensed_natively)
 def condensed(
     poses: FloatArray, h: FloatArray, lag: float, state: FloatArray, weights: FloatArray, after: FloatArray
 ) -> CondensedErrors:
@@ -243,29 +228,28 @@ def condensed(
 
 
 class CommandBounds(NamedTuple):
-    """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit."""
+    """Bounds of the next command, lower and upper; infinite without a limit."""
 
-    limits: MotionLimits  # limits of the robot, for bounds that are the same in all steps
-    speed: FloatArray  # [m/s]
-    acceleration: FloatArray  # between the speeds, the first from the last command [m/s^2]
-    lateral: FloatArray  # of speed times yaw rate, linearized about the last command and then the nominal ones [m/s^2]
-    curvature: FloatArray | None  # of steered wheels [1/m]; None for a differential drive
-    gear: (
-        FloatArray | None
-    )  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
+    speed: tuple[float, float]  # [m/s]
+    acceleration: tuple[float, float]  # from the last command [m/s^2]
+    lateral: float  # of speed times yaw rate, linearized about the last command; also its lower bound, negated [m/s^2]
 
 
 class MpcCycle(NamedTuple):
     """Data of the program for one control cycle."""
 
-    condensed: CondensedErrors  # errors as a function of the commands
+    poses: FloatArray  # of the reference at the borders of the steps, and then later by the lag, Shape (2 n + 2, 3)
+    lengths: tuple[float, float]  # of the first and of every other step [s]
+    lag: float  # of the drive, of speed and yaw rate [s]
+    state: tuple[float, float, float, float, float]  # present errors, speed and yaw rate
+    after: FloatArray  # cost to go after the last step, Shape (3, 3)
     nominal_before: tuple[float, float]  # command that follows the reference, from the last cycle
-    h: FloatArray  # length of each step, Shape (n,) [s]
-    elapsed: float  # time since the last command [s]
-    bounds: CommandBounds  # bounds of the commands
     last: tuple[float, float]  # command of the last cycle
     last_acceleration: float  # acceleration of that command [m/s^2]
-    tube: tuple[float, float] | None  # half width [m] and yaw error [rad] of the tube; None without a tube
+    elapsed: float  # time since the last command [s]
+    bounds: CommandBounds  # of the next command
+    limits: MotionLimits  # of the robot
+    curvature: FloatArray | None  # bounds of the curvature of steered wheels, Shape (2, n) [1/m]; None: differential
 
 
 class Solution(NamedTuple):
@@ -276,6 +260,162 @@ class Solution(NamedTuple):
     over_jerk: float
 
 
+class ProgramRows(NamedTuple):
+    """Rows of the program; the upper bounds of all steps come first in blocks with two rows of every step.
+
+    Changes of speed and yaw rate, the jerk, wheel speeds, lateral acceleration, curvature of steered wheels and its
+    changes, and the tube: upper and lower bounds of the cross error, then of the yaw error.
+    """
+
+    speed_changes: slice
+    yaw_rate_changes: slice
+    jerks: slice
+    wheels: slice
+    lateral: slice
+    curvature: slice
+    curvature_changes: slice
+    tube: slice
+
+    @classmethod
+    def of(cls, steps: int, *, ackermann: bool, in_tube: bool) -> ProgramRows:
+        """Return the rows of a program."""
+        steered = steps if ackermann else 0
+        counts = steps, steps, 2 * steps, 2 * steps, steps, 2 * steered, steered, 4 * steps * in_tube
+        ends = itertools.accumulate(counts)
+        return cls(*(slice(end - count, end) for count, end in zip(counts, ends, strict=True)))
+
+
+class FixedData(NamedTuple):
+    """Data of the program that changes with the steps, the limits or the weights.
+
+    `values` contains all other arrays, which are views: `errors` and `change`, see `MpcWeights`; `limits`: largest
+    speed in reverse and forward, acceleration, deceleration, yaw acceleration, jerk, lateral acceleration, and the
+    widths of the tube, Shape (9,); `spans` of accelerations and of jerks, Shape (n,) [s]; `effort`: cost of the
+    deviations from the nominal commands, Shape (2 n, 2 n).
+    """
+
+    values: FloatArray
+    errors: FloatArray
+    change: FloatArray
+    limits: FloatArray
+    spans: FloatArray
+    jerk_spans: FloatArray
+    effort: FloatArray
+
+    @classmethod
+    def of(cls, steps: int) -> FixedData:
+        """Return the data of a program, filled with zeros."""
+        counts = 3, 2, 9, steps, steps, 4 * steps**2
+        values, ends = np.zeros(sum(counts)), itertools.accumulate(counts)
+        errors, change, limits, spans, jerk_spans, effort = (
+            values[end - count : end] for count, end in zip(counts, ends, strict=True)
+        )
+        return cls(values, errors, change, limits, spans, jerk_spans, effort.reshape(2 * steps, 2 * steps))
+
+
+_FILL = Kernel("optdock_fill_tracking_program", sizes=3, numbers=2)
+
+
+def _filled_natively(
+    program: QuadraticProgram, rows: ProgramRows, fixed: FixedData, cycle: MpcCycle
+) -> tuple[FloatArray, ...]:
+    n, (m, size) = fixed.spans.size, program.a.shape
+    now = (
+        *cycle.lengths,
+        *cycle.state,
+        *cycle.last,
+        cycle.last_acceleration,
+        *cycle.nominal_before,
+        *cycle.bounds.speed,
+        *cycle.bounds.acceleration,
+        cycle.bounds.lateral,
+    )
+    work = np.empty(17 * n + 10 * n * n)
+    arrays = (
+        (cycle.poses, 6 * (n + 1)),
+        (cycle.after, 9),
+        (np.array(now), 17),
+        (fixed.values, 14 + 2 * n + 4 * n * n),
+        (program.h, size * size),
+        (program.g, size),
+        (program.a, m * size),
+        (program.bounds, 2 * (m + size)),
+        (work, work.size),
+    )
+    tube = rows.tube.start if rows.tube.stop > rows.tube.start else m
+    _FILL((n, m, tube), (UNBOUNDED, cycle.lag), arrays)
+    return program.h, program.g, program.a, program.bounds, work[: 2 * n].reshape(n, 2)
+
+
+def _with_copies(
+    program: QuadraticProgram, rows: ProgramRows, fixed: FixedData, cycle: MpcCycle
+) -> tuple[QuadraticProgram, ProgramRows, FixedData, MpcCycle]:
+    own = (program.h.copy(), program.g.copy(), program.a.copy(), program.bounds.copy())
+    return program._replace(h=own[0], g=own[1], a=own[2], bounds=own[3]), rows, fixed, cycle
+
+
+@twin_of(_filled_natively, _with_copies)
+def filled(program: QuadraticProgram, rows: ProgramRows, fixed: FixedData, cycle: MpcCycle) -> tuple[FloatArray, ...]:
+    """Fill the part of the program that changes in every cycle, without the curvature of steered wheels.
+
+    Returns:
+        The arrays of the program that were changed, `h`, `g`, `a` and `bounds`, and the commands that follow the
+        reference, Shape (n, 2).
+    """
+    n, (first, other) = fixed.spans.size, cycle.lengths
+    h = np.full(n, other)
+    h[0] = first
+    found = condensed(cycle.poses, h, cycle.lag, np.array(cycle.state), fixed.errors, cycle.after)
+    program.h[:-2, :-2] = found.hessian + fixed.effort
+    program.g[:-2] = found.gradient - fixed.effort @ found.nominal.reshape(-1)
+    # The first change starts at the deviation of the last command from its nominal one.
+    program.g[:2] -= fixed.change / fixed.spans[0] * (np.array(cycle.last) - cycle.nominal_before)
+    _fill_bounds(program, rows, fixed, cycle, found.nominal)
+    if rows.tube.stop > rows.tube.start:
+        _fill_tube(program, rows.tube, found, fixed.limits[-2:])
+    np.clip(program.bounds, -UNBOUNDED, UNBOUNDED, out=program.bounds)
+    return program.h, program.g, program.a, program.bounds, found.nominal
+
+
+def _fill_bounds(
+    program: QuadraticProgram, rows: ProgramRows, fixed: FixedData, cycle: MpcCycle, nominal: FloatArray
+) -> None:
+    """Set the bounds of speeds, accelerations, jerks and lateral accelerations about nominal commands."""
+    n, size, (last_v, last_w), (span, *_) = len(nominal), program.g.size, cycle.last, fixed.spans.tolist()
+    reverse, forward, rise, fall, yaw_acceleration, jerk, most_lateral, _, _ = fixed.limits.tolist()
+    (lowest, highest), (lower, upper) = program.bounds[:, :size], program.bounds[:, size:]
+    lowest[0:-2:2], highest[0:-2:2] = -reverse, forward
+    lowest[0], highest[0] = cycle.bounds.speed
+    speeds, travel = rows.speed_changes, nominal[:, 0] + np.concatenate((nominal[:1, 0], nominal[:-1, 0]))
+    either = min(rise, fall)
+    lower[speeds] = -np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
+    upper[speeds] = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
+    least, most = cycle.bounds.acceleration
+    lower[speeds.start], upper[speeds.start] = least + last_v / span, most + last_v / span
+    turns = rows.yaw_rate_changes.start
+    lower[turns], upper[turns] = last_w / span - yaw_acceleration, last_w / span + yaw_acceleration
+    # jerk = (second differences of u) with the last command and its acceleration before the first
+    up, down, (first, second, *_) = rows.jerks.start, rows.jerks.start + n, fixed.jerk_spans.tolist()
+    known = -(last_v / span + cycle.last_acceleration) / first, last_v / span / second
+    for k, value in enumerate(known):
+        upper[up + k], upper[down + k] = jerk - value, jerk + value
+    # Speed times yaw rate is linearized about the last command and the nominal commands.
+    v, w = nominal.T.copy()
+    v[0], w[0] = last_v, last_w
+    at, sideways = np.arange(n), np.full(n, most_lateral)
+    sideways[0] = cycle.bounds.lateral
+    program.a[rows.lateral.start + at, 2 * at], program.a[rows.lateral.start + at, 2 * at + 1] = w, v
+    lower[rows.lateral], upper[rows.lateral] = -sideways + v * w, sideways + v * w
+
+
+def _fill_tube(program: QuadraticProgram, rows: slice, found: CondensedErrors, widths: FloatArray) -> None:
+    """Bound cross and yaw errors after every step in both directions."""
+    n, upper = len(found.errors), program.bounds[1, program.g.size :]
+    by, errors = found.by_commands[:, 1:].transpose(1, 0, 2), found.errors[:, 1:].T
+    program.a[rows, :-2] = np.stack((by, -by), axis=1).reshape(4 * n, 2 * n)
+    upper[rows] = np.stack((widths[:, None] - errors, widths[:, None] + errors), axis=1).reshape(-1)
+
+
 class TrackingProgram:
     """Program of a robot that is built once, then filled and solved in every cycle.
 
@@ -283,175 +423,181 @@ class TrackingProgram:
         steps: Number of steps n.
         weights: Weights of the cost.
         ackermann: Whether the curvature of the commands is bounded.
-        in_tube: Whether the errors are bounded by a tube.
+        tube: Half width [m] and yaw error [rad] of the tube by which the errors are bounded; None without a tube.
+
+    Attributes:
+        nominal: Commands that follow the reference, of the last cycle, Shape (n, 2) [m/s, rad/s].
     """
 
-    def __init__(self, steps: int, weights: MpcWeights, *, ackermann: bool, in_tube: bool) -> None:
-        self._steps, self._weights = steps, weights
-        steered = steps if ackermann else 0
-        counts = [steps, steps, 2 * steps, 2 * steps, steps, 2 * steered, steered, 4 * steps * in_tube]
-        ends = [int(end) for end in np.cumsum(counts)]
-        blocks = [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
-        self._speed_changes, self._yaw_rate_changes, self._jerks, self._wheels, self._lateral = blocks[:5]
-        self._curvature, self._curvature_changes, self._tube = blocks[5:]
-        self._program = program = DenseProgram(2 * steps + 2, ends[-1], _MOST_ITERATIONS)
-        program.lbx[-2:] = 0.0
-        program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP requires a positive definite cost
-        program.g[-2:] = _EXACT
-        self._h: FloatArray = np.zeros(steps)
-        self._spans = self._jerk_spans = self._h
-        self._changes = np.zeros((steps, steps))
-        self._effort = np.zeros((2 * steps, 2 * steps))
+    def __init__(self, steps: int, weights: MpcWeights, *, ackermann: bool, tube: tuple[float, float] | None) -> None:
+        self._steps, self._weights, self._tube = steps, weights, tube
+        self._rows = ProgramRows.of(steps, ackermann=ackermann, in_tube=tube is not None)
+        size, rows = 2 * steps + 2, self._rows.tube.stop
+        h, bounds = np.zeros((size, size)), np.tile([[-UNBOUNDED], [UNBOUNDED]], size + rows)
+        h[[-2, -1], [-2, -1]] = 1.0  # the cost must be positive definite
+        bounds[0, size - 2 : size] = 0.0
+        self._is_degenerate = ackermann  # bounds of speed and curvature are dependent where steered wheels stand
+        g = np.zeros(size)
+        g[-2:] = _EXACT
+        self._program = QuadraticProgram(h, g, np.zeros((rows, size)), bounds, size - 2, _NO_GUESS, self.load)
+        self._fixed = FixedData.of(steps)
+        self._fixed.errors[:], self._fixed.change[:] = weights.errors, weights.change
+        self._lengths = 0.0, 0.0
         self._limits: MotionLimits | None = None
-        # Views of the coefficients that change in every cycle, which are as quick to fill as a whole array.
-        self._cost = program.h.T[:-2, :-2]
-        rows, width = program.a.shape[0], program.a.T.reshape(-1)
-        self._by_speed, self._by_yaw_rate = (
-            width[i * rows + self._lateral.start :: 2 * rows + 1][:steps] for i in range(2)
-        )
-        halves = (2 * steps, 2, 2, steps) if in_tube else (2 * steps, 0, 2, steps)
-        tube = program.a.T[:-2, self._tube].reshape(halves)  # by command, by error, upper and lower, by step
-        self._tube_upper, self._tube_lower = tube[:, :, 0], tube[:, :, 1]
-        self._tube_bounds = program.uba[self._tube].reshape(halves[1:])
+        self.nominal: FloatArray = np.zeros((steps, 2))
+
+    @functools.cached_property
+    def _solver(self) -> DenseProgram:
+        rows, size = self._program.a.shape
+        return DenseProgram(size, rows, _MOST_ITERATIONS, None if self._is_degenerate else EXACT)
+
+    def load(self) -> DenseProgram:
+        """Return DAQP's program, which is made by the first call; this takes longer than a cycle."""
+        return self._solver
+
+    def fill(self, cycle: MpcCycle) -> None:
+        """Set the data of a cycle."""
+        (first, other), (h, h_other), span = cycle.lengths, self._lengths, self._fixed.spans.item(0)
+        if max(abs(first - h), abs(other - h_other), abs(cycle.elapsed - span)) > _SAME_TIME:
+            self._use_steps(cycle.lengths, cycle.elapsed)
+        if cycle.limits is not self._limits:
+            self._use_limits(cycle.limits)
+        *_, self.nominal = filled(self._program, self._rows, self._fixed, cycle)
+        if cycle.curvature is not None:
+            self._fill_curvature(cycle, cycle.curvature)
 
     def solve(self, cycle: MpcCycle) -> Solution | None:
         """Return the optimal commands; None if no solution is found within the iteration limit."""
-        if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
-            self._use_steps(cycle.h, cycle.elapsed)
-        if cycle.bounds.limits is not self._limits:
-            self._use_limits(cycle.bounds.limits)
-        self._fill_cost(cycle)
-        self._fill_bounds(cycle)
-        if cycle.bounds.curvature is not None and cycle.bounds.gear is not None:
-            self._fill_curvature(cycle, cycle.bounds.curvature, cycle.bounds.gear)
-        if cycle.tube is not None:
-            self._fill_tube(cycle.condensed, cycle.tube)
+        self.fill(cycle)
         # The next command must keep the jerk limit; later ones, on a coarse grid, may exceed it a little.
-        self._soften_next_jerk(0.0)
-        found, exceeded = self._program.solve(), 0.0
+        found, exceeded = self._minimized(), 0.0
         if found is None:
             self._soften_next_jerk(-1.0)
-            changes = self._curvature_changes
-            self._program.lba[changes], self._program.uba[changes] = -UNBOUNDED, UNBOUNDED
-            found = self._program.solve()
-            exceeded = 0.0 if found is None else float(found[-1])
-        return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), exceeded)
+            changes = self._rows.curvature_changes
+            self._program.bounds[:, self._program.g.size :][:, changes] = [[-UNBOUNDED], [UNBOUNDED]]
+            found = self._minimized()
+            exceeded = 0.0 if found is None else found.item(-1)
+            self._soften_next_jerk(0.0)
+        return None if found is None else Solution(found[:-2].reshape(-1, 2), found.item(-2), exceeded)
+
+    def _minimized(self) -> FloatArray | None:
+        """Return the minimizer of the program; the active set of the last cycle is the first guess of the next one.
+
+        DAQP solves degenerate programs, in which `minimizer` may cycle, and those without compiled kernels, because
+        `minimizer` in NumPy takes five times as long.
+        """
+        if not self._is_degenerate and kernels_lane() != "twin":
+            found = minimizer(self._program)
+            self._program = self._program._replace(guess=_NO_GUESS if found is None else found.active)
+            if found is not None:
+                return found.solution
+        self._solver.fill(self._program)
+        return self._solver.solve()
 
     def _soften_next_jerk(self, slack: float) -> None:
         """Set the coefficient of the slack in the bounds of the next jerk."""
-        self._program.a[self._jerks.start, -1] = self._program.a[self._jerks.start + self._steps, -1] = slack
+        jerks = self._rows.jerks.start
+        self._program.a[jerks, -1] = self._program.a[jerks + self._steps, -1] = slack
 
-    def _use_steps(self, h: FloatArray, elapsed: float) -> None:
+    def _use_steps(self, lengths: tuple[float, float], elapsed: float) -> None:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
         A command is the mean over its step, so the time between two commands is half the sum of both steps. Their
         difference is the acceleration averaged over a triangular window around the border of the steps; the jerk is
         measured between the centroids of these windows.
         """
-        n, program = self._steps, self._program
-        self._h = h.copy()
-        self._spans = np.concatenate(([elapsed], 0.5 * (h[:-1] + h[1:])))
+        n, a, rows, fixed = self._steps, self._program.a, self._rows, self._fixed
+        self._lengths = lengths
+        h = np.full(n, lengths[1])
+        h[0] = lengths[0]
+        fixed.spans[:] = np.concatenate(([elapsed], 0.5 * (h[:-1] + h[1:])))
         centroids = np.cumsum(h[:-1]) + np.diff(h) / 3.0
-        self._jerk_spans = np.concatenate(([elapsed], np.diff(centroids, prepend=(h[0] - elapsed) / 3.0)))
+        fixed.jerk_spans[:] = np.concatenate(([elapsed], np.diff(centroids, prepend=(h[0] - elapsed) / 3.0)))
         difference = np.eye(n) - np.eye(n, k=-1)
-        self._changes = difference / self._spans[:, None]
-        program.a[self._speed_changes, 0:-2:2] = self._changes
-        program.a[self._yaw_rate_changes, 1:-2:2] = self._changes
-        up = slice(self._jerks.start, self._jerks.start + n)
-        down = slice(up.stop, self._jerks.stop)
-        program.a[up, 0:-2:2] = difference @ self._changes / self._jerk_spans[:, None]
-        program.a[down, 0:-2:2] = -program.a[up, 0:-2:2]
-        program.a[self._jerks, -1] = -1.0
+        changes = difference / fixed.spans[:, None]
+        a[rows.speed_changes, 0:-2:2] = a[rows.yaw_rate_changes, 1:-2:2] = changes
+        jerks = difference @ changes / fixed.jerk_spans[:, None]
+        a[rows.jerks, 0:-2:2] = np.concatenate((jerks, -jerks))
+        a[rows.jerks, -1] = -1.0
+        self._soften_next_jerk(0.0)
         for i in range(2):
-            smooth = self._changes.T @ ((self._weights.change[i] * self._spans)[:, None] * self._changes)
-            self._effort[i::2, i::2] = np.diag(self._weights.effort[i] * h) + smooth
+            smooth = changes.T @ ((self._weights.change[i] * fixed.spans)[:, None] * changes)
+            fixed.effort[i::2, i::2] = np.diag(self._weights.effort[i] * h) + smooth
 
     def _use_limits(self, limits: MotionLimits) -> None:
-        """Update the rows that depend on the limits alone."""
-        program, at, self._limits = self._program, np.arange(self._steps), limits
-        lower, upper = program.lba, program.uba
-
-        def bounded(value: float) -> float:
-            return min(value, UNBOUNDED)
-
-        program.lbx[1:-2:2], program.ubx[1:-2:2] = -bounded(limits.max_yaw_rate), bounded(limits.max_yaw_rate)
-        most = bounded(limits.max_yaw_acceleration)
-        lower[self._yaw_rate_changes], upper[self._yaw_rate_changes] = -most, most
-        upper[self._jerks] = bounded(limits.max_jerk)
-        most = bounded(limits.max_wheel_speed)
-        lower[self._wheels], upper[self._wheels] = -most, most
+        """Update the data, rows and bounds that depend on the limits and the tube alone."""
+        program, rows, at, self._limits = self._program, self._rows, np.arange(self._steps), limits
+        tube = (math.inf, math.inf) if self._tube is None else self._tube
+        self._fixed.limits[:] = (
+            limits.max_reverse_speed,
+            limits.max_speed,
+            limits.max_acceleration,
+            limits.max_deceleration,
+            limits.max_yaw_acceleration,
+            limits.max_jerk,
+            limits.max_lateral_acceleration,
+            *tube,
+        )
+        size = program.g.size
+        both, upper = np.array([[-1.0], [1.0]]), program.bounds[1, size:]
+        program.bounds[:, 1 : size - 2 : 2] = both * min(limits.max_yaw_rate, UNBOUNDED)
+        most = ((rows.yaw_rate_changes, limits.max_yaw_acceleration), (rows.wheels, limits.max_wheel_speed))
+        for block, value in most:
+            program.bounds[:, size:][:, block] = both * min(value, UNBOUNDED)
+        upper[rows.jerks] = min(limits.max_jerk, UNBOUNDED)
         for half, sign in ((0, 1.0), (1, -1.0)):
-            row = self._wheels.start + half * self._steps + at
+            row = rows.wheels.start + half * self._steps + at
             program.a[row, 2 * at], program.a[row, 2 * at + 1] = 1.0, sign * 0.5 * limits.track_width
+        # The slack scales the widths of cross and yaw error alike.
+        program.a[rows.tube, -2] = np.repeat([-1.0, -tube[1] / tube[0]], 2 * self._steps if self._tube else 0)
 
-    def _fill_cost(self, cycle: MpcCycle) -> None:
-        program, errors, (v, w) = self._program, cycle.condensed, cycle.nominal_before
-        np.add(errors.hessian, self._effort, out=self._cost)
-        gradient = errors.gradient - self._effort @ errors.nominal.reshape(-1)
-        # The first change starts at the deviation of the last command from its nominal one.
-        per_speed, per_yaw_rate = (self._weights.change / self._spans[0]).tolist()
-        gradient[0] -= per_speed * (cycle.last[0] - v)
-        gradient[1] -= per_yaw_rate * (cycle.last[1] - w)
-        program.g[:-2] = gradient
-
-    def _fill_bounds(self, cycle: MpcCycle) -> None:
-        program, bounds, (last_v, last_w), limits = self._program, cycle.bounds, cycle.last, cycle.bounds.limits
-        lower, upper, speeds, turns = program.lba, program.uba, self._speed_changes, self._yaw_rate_changes.start
-        (span, *_), (first, second, *_) = self._spans.tolist(), self._jerk_spans.tolist()
-        program.lbx[0:-2:2], program.ubx[0:-2:2] = bounds.speed
-        lower[speeds], upper[speeds] = bounds.acceleration
-        lower[speeds.start] += last_v / span
-        upper[speeds.start] += last_v / span
-        lower[turns] = last_w / span - limits.max_yaw_acceleration
-        upper[turns] = last_w / span + limits.max_yaw_acceleration
-        # jerk = (second differences of u) with the last command and its acceleration before the first
-        up, down = self._jerks.start, self._jerks.start + self._steps
-        known = -(last_v / span + cycle.last_acceleration) / first, last_v / span / second
-        for k, value in enumerate(known):
-            upper[up + k], upper[down + k] = limits.max_jerk - value, limits.max_jerk + value
-        v, w = self._by_yaw_rate, self._by_speed
-        v[:], w[:] = cycle.condensed.nominal.T
-        v[0], w[0] = last_v, last_w
-        lower[self._lateral], upper[self._lateral] = bounds.lateral + v * w
-        for values in (lower, upper, program.lbx, program.ubx):  # several times as fast as np.clip
-            np.minimum(np.maximum(values, -UNBOUNDED, out=values), UNBOUNDED, out=values)
-
-    def _fill_curvature(self, cycle: MpcCycle, curvature: FloatArray, gear: FloatArray) -> None:
+    def _fill_curvature(self, cycle: MpcCycle, curvature: FloatArray) -> None:
         """Bound the curvature of the commands of steered wheels, and its changes."""
-        program, at, nominal, steering = self._program, np.arange(self._steps), cycle.condensed.nominal, gear != 0.0
+        program, rows, at, nominal, size = (
+            self._program,
+            self._rows,
+            np.arange(self._steps),
+            self.nominal,
+            2 * self._steps + 2,
+        )
+        gear = self._gears(cycle)
+        steering, (lowest, highest) = gear != 0.0, program.bounds[:, : size - 2 : 2]
+        lowest[gear > 0.0], highest[gear < 0.0] = 0.0, 0.0
         slow = np.maximum(np.abs(curvature).max() * np.abs(nominal[:, 0]), abs(cycle.last[1]))
         for half, sign in ((0, 1.0), (1, -1.0)):
-            row = self._curvature.start + half * self._steps + at
+            row = rows.curvature.start + half * self._steps + at
             program.a[row, 2 * at] = -sign * gear * curvature[1 - half]
             program.a[row, 2 * at + 1] = sign * np.where(steering, gear, 1.0)
-            program.uba[row] = np.where(steering, 0.0, slow)
-        self._fill_curvature_changes(nominal, gear, cycle.bounds.limits)
+            program.bounds[1, size + row] = np.where(steering, 0.0, slow)
+        self._fill_curvature_changes(nominal, gear, cycle.limits)
+
+    def _gears(self, cycle: MpcCycle) -> FloatArray:
+        """Return the signs of the speeds of steered wheels, Shape (n,).
+
+        During a change of gear the sign is unknown; it is 0, and the wheels are kept straight.
+        """
+        speeds, limits, last = self.nominal[:, 0], cycle.limits, cycle.last[0]
+        gear: FloatArray = np.sign(np.where(np.abs(speeds) > _AT_REST, speeds, 0.0))
+        braking = braking_time(abs(last), limits.max_deceleration, limits.max_jerk)
+        first, other = cycle.lengths
+        begins = np.concatenate(([0.0], first + other * np.arange(self._steps - 1)))
+        gear[(begins < braking) & (gear != math.copysign(1.0, last))] = 0.0
+        return gear
 
     def _fill_curvature_changes(self, nominal: FloatArray, gear: FloatArray, limits: MotionLimits) -> None:
         """Bound the change of the curvature w / v between commands in motion, linearized about the nominal commands."""
-        program, (v, w) = self._program, nominal.T
+        program, rows, (v, w) = self._program, self._rows.curvature_changes, nominal.T
+        lower, upper = program.bounds[:, program.g.size :]
         moving = np.abs(v) > _IN_MOTION
         speed = np.where(moving, v, 1.0)
         curvature = w / speed
         both = np.flatnonzero(moving[1:] & moving[:-1] & (gear[1:] == gear[:-1]) & (gear[1:] != 0.0))
-        rows = self._curvature_changes
         program.a[rows] = 0.0
-        program.lba[rows], program.uba[rows] = -UNBOUNDED, UNBOUNDED
+        lower[rows], upper[rows] = -UNBOUNDED, UNBOUNDED
         row, change = rows.start + both + 1, curvature[both + 1] - curvature[both]
         for k, sign in ((both + 1, 1.0), (both, -1.0)):
             program.a[row, 2 * k], program.a[row, 2 * k + 1] = -sign * curvature[k] / speed[k], sign / speed[k]
         base = limits.wheelbase
         fastest = limits.max_steering_rate / base if base > 0.0 else np.inf  # change of the curvature [1/(m s)]
-        most = np.minimum(fastest * self._spans[both + 1], UNBOUNDED)
-        program.lba[row], program.uba[row] = -most - change, most - change
-
-    def _fill_tube(self, found: CondensedErrors, tube: tuple[float, float]) -> None:
-        """Bound cross and yaw errors after every step in both directions, relaxed by the slack."""
-        by = found.by_commands[:, 1:].transpose(2, 1, 0)
-        self._tube_upper[...] = by
-        np.negative(by, out=self._tube_lower)
-        errors, widths = found.errors[:, 1:].T, np.array([[tube[0]], [tube[1]]])
-        self._tube_bounds[:, 0], self._tube_bounds[:, 1] = widths - errors, widths + errors
-        # The slack scales the widths of cross and yaw error alike.
-        slack = self._program.a[self._tube, -2]
-        slack[: slack.size // 2], slack[slack.size // 2 :] = -1.0, -tube[1] / tube[0]
+        most = np.minimum(fastest * self._fixed.spans[both + 1], UNBOUNDED)
+        lower[row], upper[row] = -most - change, most - change

@@ -1,4 +1,4 @@
-/* Data of the MPC's program: the functions `condensed` and `cost_to_go` of `mpc_program.py` in C.
+/* Program of the MPC: the functions `filled` and `cost_to_go` of `mpc_program.py` in C.
  *
  * The cost is (K9) and the dynamics of a step (K10) of docs/theory/controller.md. Sines and cosines are those of the C
  * library, and sums are in another order, so the results are equal to those of the twins up to rounding. */
@@ -101,48 +101,169 @@ static void add_cost(const double weights[3][3], const double *errors, const dou
     }
 }
 
-/* Condense the errors over the horizon.
- *
- *   n            number of steps
- *   lag          lag of the drive [s]
- *   poses        (2 n + 2, 3), at the borders of the steps, and then poses later by the lag
- *   h            (n,), length of the steps [s]
- *   start        (5,), the state
- *   weights      (3,), of the errors per second
- *   cost_to_go   (3, 3)
- *   out          out: nominal, (n, 2); errors, (n, 3); by_commands, (n, 3, 2 n); hessian, (2 n, 2 n); gradient, (2 n,);
- *                and work, (5, 2 n)
- *
- * Return n. */
-int64_t optdock_condense(int64_t n, double lag, const double *poses, const double *h, const double *start,
-                         const double *weights, const double *cost_to_go, double *out)
+/* Errors over the horizon of n steps as a function of the commands, see `CondensedErrors`. */
+typedef struct {
+    double *nominal;           /* (n, 2) */
+    double *errors, *by;       /* (n, 3), (n, 3, 2 n) */
+    double *hessian, *gradient; /* (2 n, 2 n), of which the upper half is written; (2 n,) */
+    double *effect;            /* (5, 2 n) */
+} Condensed;
+
+/* Condense the errors, from the reference `poses`, (2 n + 2, 3), the lengths h of the first and of the other steps, the
+ * lag of the drive, the state (5,), the weights (3,) of the errors per second and the cost to go (3, 3). */
+static void condense(int64_t n, const double *poses, const double *lengths, double lag, const double *start,
+                     const double *weights, const double *cost_to_go, const Condensed *out)
 {
     int64_t columns = 2 * n;
-    double *errors = out + 2 * n, *by = errors + 3 * n, *hessian = by + 6 * n * n, *gradient = hessian + 4 * n * n;
-    double *effect = gradient + 2 * n, state[5];
-    for (int64_t i = 2 * n; i < 17 * n + 10 * n * n; i++)
-        out[i] = 0.0;
+    double state[5];
+    for (int64_t i = 0; i < 17 * n + 10 * n * n; i++)
+        out->nominal[i] = 0.0;
     for (int i = 0; i < 5; i++)
         state[i] = start[i];
     for (int64_t k = 0; k < n; k++) {
-        Arc leading = arc_between(poses + 3 * (n + 1 + k), poses + 3 * (n + 2 + k), h[k]);
-        Step step = step_of(arc_between(poses + 3 * k, poses + 3 * (k + 1), h[k]), lag);
-        double weight[3][3] = {{0.0}}, *by_step = by + 3 * columns * k;
-        out[2 * k] = leading.v;
-        out[2 * k + 1] = leading.w;
-        advance(&step, k, columns, state, effect);
+        double h = lengths[k > 0], weight[3][3] = {{0.0}}, *by = out->by + 3 * columns * k;
+        Arc leading = arc_between(poses + 3 * (n + 1 + k), poses + 3 * (n + 2 + k), h);
+        Step step = step_of(arc_between(poses + 3 * k, poses + 3 * (k + 1), h), lag);
+        out->nominal[2 * k] = leading.v;
+        out->nominal[2 * k + 1] = leading.w;
+        advance(&step, k, columns, state, out->effect);
         for (int i = 0; i < 3; i++) {
-            errors[3 * k + i] = state[i];
+            out->errors[3 * k + i] = state[i];
             for (int64_t p = 0; p < 2 * k + 2; p++)
-                by_step[i * columns + p] = effect[i * columns + p];
+                by[i * columns + p] = out->effect[i * columns + p];
             for (int j = 0; j < 3; j++)
-                weight[i][j] = (i == j ? h[k] * weights[i] : 0.0) + (k == n - 1 ? cost_to_go[3 * i + j] : 0.0);
+                weight[i][j] = (i == j ? h * weights[i] : 0.0) + (k == n - 1 ? cost_to_go[3 * i + j] : 0.0);
         }
-        add_cost((const double (*)[3])weight, state, by_step, 2 * k + 2, columns, hessian, gradient);
+        add_cost((const double (*)[3])weight, state, by, 2 * k + 2, columns, out->hessian, out->gradient);
     }
-    for (int64_t p = 0; p < columns; p++)
-        for (int64_t q = 0; q < p; q++)
-            hessian[p * columns + q] = hessian[q * columns + p];
+}
+
+/* Arrays of the program with `variables` variables and m rows. */
+typedef struct {
+    int64_t variables;
+    double *hessian, *gradient; /* (variables, variables), (variables,) */
+    double *a;                  /* (m, variables) */
+    double *lower, *upper;      /* (variables + m,), of the variables first */
+    double unbounded;
+} Program;
+
+static double limited(double value, double most)
+{
+    return value > most ? most : value < -most ? -most : value; /* keeps NaN */
+}
+
+/* Set the bounds of a variable, or of a row of number `i` - variables. */
+static void set_bounds(const Program *p, int64_t i, double lower, double upper)
+{
+    p->lower[i] = limited(lower, p->unbounded);
+    p->upper[i] = limited(upper, p->unbounded);
+}
+
+/* Set the cost: that of the errors and that of the effort (2 n, 2 n), where `first` is the derivative of the cost with
+ * respect to the first command by the deviation of the last command. */
+static void set_cost(const Program *p, int64_t n, const Condensed *found, const double *effort, const double *first)
+{
+    for (int64_t i = 0; i < 2 * n; i++) {
+        double sum = 0.0;
+        for (int64_t j = 0; j < 2 * n; j++) {
+            double error = i <= j ? found->hessian[2 * n * i + j] : found->hessian[2 * n * j + i];
+            p->hessian[p->variables * i + j] = error + effort[2 * n * i + j];
+            sum += effort[2 * n * i + j] * found->nominal[j];
+        }
+        p->gradient[i] = found->gradient[i] - sum - (i < 2 ? first[i] : 0.0);
+    }
+}
+
+/* The limits of the robot in `fixed`, and the bounds of the next command in `next`. */
+enum { REVERSE, FORWARD, RISE, FALL, YAW_ACCELERATION, JERK, LATERAL, CROSS, YAW, LIMITS };
+enum { LEAST_SPEED, MOST_SPEED, LEAST_CHANGE, MOST_CHANGE, NEXT_LATERAL, NEXT };
+
+/* Set the bounds of speeds and accelerations, and the rows and bounds of the lateral accelerations, from the row
+ * `lateral` on, linearized about the last command and the nominal ones. */
+static void bound_speeds(const Program *p, int64_t n, int64_t lateral, const double *nominal, const double *limits,
+                         const double *next, const double *last, double span)
+{
+    double least = limits[RISE] < limits[FALL] ? limits[RISE] : limits[FALL];
+    for (int64_t k = 0; k < n; k++) {
+        double travel = nominal[2 * k] + nominal[2 * (k > 0 ? k - 1 : 0)];
+        double up = travel > 0.0 ? limits[RISE] : travel < 0.0 ? limits[FALL] : least;
+        double down = travel > 0.0 ? limits[FALL] : travel < 0.0 ? limits[RISE] : least;
+        double v = k > 0 ? nominal[2 * k] : last[0], w = k > 0 ? nominal[2 * k + 1] : last[1];
+        double sideways = k > 0 ? limits[LATERAL] : next[NEXT_LATERAL], *row = p->a + (lateral + k) * p->variables;
+        if (k > 0) {
+            set_bounds(p, 2 * k, -limits[REVERSE], limits[FORWARD]);
+            set_bounds(p, p->variables + k, -down, up);
+        }
+        row[2 * k] = w;
+        row[2 * k + 1] = v;
+        set_bounds(p, p->variables + lateral + k, -sideways + v * w, sideways + v * w);
+    }
+    set_bounds(p, 0, next[LEAST_SPEED], next[MOST_SPEED]);
+    set_bounds(p, p->variables, next[LEAST_CHANGE] + last[0] / span, next[MOST_CHANGE] + last[0] / span);
+    set_bounds(p, p->variables + n, last[1] / span - limits[YAW_ACCELERATION],
+               last[1] / span + limits[YAW_ACCELERATION]);
+}
+
+/* Set the rows of the tube from the row `tube` on: cross and yaw errors after every step in both directions. */
+static void bound_errors(const Program *p, int64_t n, int64_t tube, const Condensed *found, const double *widths)
+{
+    for (int64_t i = 0; i < 2; i++)
+        for (int64_t k = 0; k < n; k++) {
+            int64_t upper = tube + 2 * n * i + k, lower = upper + n;
+            const double *by = found->by + 2 * n * (3 * k + 1 + i);
+            double error = found->errors[3 * k + 1 + i];
+            for (int64_t j = 0; j < 2 * k + 2; j++) {
+                p->a[upper * p->variables + j] = by[j];
+                p->a[lower * p->variables + j] = -by[j];
+            }
+            p->upper[p->variables + upper] = limited(widths[i] - error, p->unbounded);
+            p->upper[p->variables + lower] = limited(widths[i] + error, p->unbounded);
+        }
+}
+
+/* Fill the part of the program that changes in every cycle.
+ *
+ *   n, rows, tube      numbers of steps and of rows; first row of the tube, or `rows` without a tube
+ *   unbounded          value for infinity
+ *   lag                lag of the drive [s]
+ *   poses              (2 n + 2, 3), reference at the borders of the steps, and then poses later by the lag
+ *   cost_to_go         (3, 3)
+ *   cycle              (17,): length of the first and of the other steps; the state; the last command, its acceleration
+ *                      and its nominal command; the bounds of the next command
+ *   fixed              (14 + 2 n + 4 n^2,): weights of the errors and of changes; limits; spans of accelerations and
+ *                      of jerks; cost of the effort
+ *   hessian, gradient  out, (variables, variables), (variables,), where variables = 2 n + 2
+ *   a, bounds          out, (rows, variables), (2, variables + rows)
+ *   work               out: nominal, (n, 2); and (15 n + 10 n^2,)
+ *
+ * Return n. */
+int64_t optdock_fill_tracking_program(int64_t n, int64_t rows, int64_t tube, double unbounded, double lag,
+                                      const double *poses, const double *cost_to_go, const double *cycle,
+                                      const double *fixed, double *hessian, double *gradient, double *a, double *bounds,
+                                      double *work)
+{
+    int64_t variables = 2 * n + 2, up = variables + 2 * n, down = up + n;
+    Program p = {variables, hessian, gradient, a, bounds, bounds + variables + rows, unbounded};
+    Condensed found = {.nominal = work, .errors = work + 2 * n, .by = work + 5 * n};
+    found.hessian = found.by + 6 * n * n;
+    found.gradient = found.hessian + 4 * n * n;
+    found.effect = found.gradient + 2 * n;
+    const double *state = cycle + 2, *last = cycle + 7, *before = cycle + 10, *next = cycle + 12;
+    const double *change = fixed + 3, *limits = fixed + 5, *spans = limits + LIMITS, *jerk_spans = spans + n;
+    condense(n, poses, cycle, lag, state, fixed, cost_to_go, &found);
+    double first[2];
+    for (int i = 0; i < 2; i++)
+        first[i] = change[i] / spans[0] * (last[i] - before[i]);
+    set_cost(&p, n, &found, jerk_spans + n, first);
+    bound_speeds(&p, n, 6 * n, found.nominal, limits, next, last, spans[0]);
+    /* jerk = (second differences of u) with the last command and its acceleration before the first */
+    double known[2] = {-(last[0] / spans[0] + last[2]) / jerk_spans[0], last[0] / spans[0] / jerk_spans[1]};
+    for (int k = 0; k < 2; k++) {
+        p.upper[up + k] = limited(limits[JERK] - known[k], unbounded);
+        p.upper[down + k] = limited(limits[JERK] + known[k], unbounded);
+    }
+    if (tube < rows)
+        bound_errors(&p, n, tube, &found, limits + CROSS);
     return n;
 }
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.geometry.pose import Pose2, Twist2
+from optdock.geometry.pose import Pose2, Twist2, arc_end, normalize_angle
 
 if TYPE_CHECKING:
     from optdock.controllers.delay_estimate import ControlClock
@@ -155,12 +155,14 @@ class FeedbackGains:
         if before is None or clock.silent:
             return
         last, speed = before
-        driven = Twist2(0.5 * (speed.linear + velocity.linear), 0.5 * (speed.angular + velocity.angular))
-        off, share = last.moved(driven, period).in_frame_of(pose), min(1.0, period / _SCATTER_SMOOTHING)
+        driven = 0.5 * (speed.linear + velocity.linear), 0.5 * (speed.angular + velocity.angular), 0.0
+        x, y, yaw = arc_end(last.x, last.y, last.yaw, driven, period)
+        across = math.cos(pose.yaw) * (y - pose.y) - math.sin(pose.yaw) * (x - pose.x)
+        turned, share = normalize_angle(yaw - pose.yaw), min(1.0, period / _SCATTER_SMOOTHING)
         most = _GROWTH * self.scatter + _LEAST_SCATTER  # a jump is not noise
-        self.scatter += share * (min(0.5 * off.y * off.y, most) - self.scatter)
+        self.scatter += share * (min(0.5 * across * across, most) - self.scatter)
         most = _GROWTH * self._yaw_scatter + _LEAST_SCATTER
-        self._yaw_scatter += share * (min(0.5 * off.yaw * off.yaw, most) - self._yaw_scatter)
+        self._yaw_scatter += share * (min(0.5 * turned * turned, most) - self._yaw_scatter)
 
     def update(  # noqa: PLR0913 - the inputs of the schedule
         self,

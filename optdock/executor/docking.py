@@ -186,11 +186,11 @@ class DockingExecutor:
     def _completed(self, intake: Intake) -> Measurements:
         """Replace a missing stamp by the last stamp plus a period, and a missing twist by the last command."""
         found = intake.measurements
-        names = {name for name, _ in intake.faults}
-        for name, detail in intake.faults:
-            if name not in self._faults:
-                self._report(name, detail)
-        self._faults = names
+        if intake.faults or self._faults:
+            for name, detail in intake.faults:
+                if name not in self._faults:
+                    self._report(name, detail)
+            self._faults = {name for name, _ in intake.faults}
         if math.isnan(found.stamp):
             before = self._last_stamp if self._began is not None else 0.0
             found = found._replace(stamp=before + self._usual_period)

@@ -151,10 +151,11 @@ class Perception:
         if not self._dock.started:
             return self._settings.stored_position_sigma, self._settings.stored_yaw_sigma
         # The rotation of the robot about the dock by a yaw error does not move the dock in the frame of the robot.
-        robot, spread = self._dock.pose, self._dock.covariance[:3, :3]
-        swing = np.array([[1.0, 0.0, robot.y], [0.0, 1.0, -robot.x]])
-        place = swing @ spread @ swing.T
-        return math.sqrt(max(float(place[0, 0]), float(place[1, 1]))), math.sqrt(float(spread[2, 2]))
+        robot, spread = self._dock.pose, self._dock.covariance
+        (xx, _, xt), (_, yy, yt), (tx, ty, tt) = spread[:3, :3].tolist()
+        along = xx + robot.y * tx + (xt + robot.y * tt) * robot.y
+        across = yy - robot.x * ty - (yt - robot.x * tt) * robot.x
+        return math.sqrt(max(along, across)), math.sqrt(tt)
 
     def sigma_after(self, way: float) -> tuple[float, float, float]:
         """Return the standard deviations after a straight motion by `way` [m], negative in reverse.
@@ -407,8 +408,8 @@ def covariance_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) 
     Returns:
         Shape (3, 3) [m, m, rad].
     """
-    swing = np.array([[-robot.y, robot.x, 1.0]])
-    found: FloatArray = yaw_sigma**2 * (swing * swing.T)
-    found[0, 0] += position_sigma**2
-    found[1, 1] += position_sigma**2
-    return found
+    place, turn, x, y = position_sigma**2, yaw_sigma**2, robot.x, -robot.y
+    across, along, off = turn * (x * y), turn * x, turn * y
+    return np.array(
+        ((turn * (y * y) + place, across, off), (across, turn * (x * x) + place, along), (off, along, turn))
+    )

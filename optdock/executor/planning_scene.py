@@ -91,10 +91,10 @@ class PlanningScene:
     @property
     def costmap(self) -> Costmap | None:
         """The newest costmap with the contact zone freed; None without a costmap."""
-        seen, dock = self.perception.costmap or self.problem.costmap, self.perception.dock
+        seen = self.perception.costmap or self.problem.costmap
         if seen is None:
             return None
-        known, cleared, place = self._cleared
+        dock, (known, cleared, place) = self.perception.dock, self._cleared
         if seen is not known or dock.gap_to(place) > _SAME_DOCK:
             margin, footprint = self.settings.contact_margin, self.problem.robot.footprint
             cleared = with_contact_zone(seen, self.dock, footprint, margin)

@@ -22,6 +22,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2, arc_end, normalize_angle
+from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -225,7 +226,7 @@ class PoseFilter:
         # Corrected dead reckoning; past poses are the present estimate moved back along it.
         self._reckoned: deque[tuple[float, Pose2]] = deque()
         self._outside: list[_Outside] = []
-        self._whitened: deque[tuple[float, ...]] = deque(maxlen=_INNOVATIONS)
+        self._whitened: deque[tuple[float, float, float]] = deque(maxlen=_INNOVATIONS)
 
     @property
     def started(self) -> bool:
@@ -353,37 +354,30 @@ class PoseFilter:
             other agreeing measurements; `forgotten` if the measurement is older than the stored motion or in the
             future.
         """
-        pose, delay = self.pose, float(self.systematic[2])
-        if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
+        pose, delay, first, last = self.pose, self.systematic.item(2), self.remembered_from, self.stamp
+        if not first <= stamp <= last + AHEAD:
             return "forgotten"
         velocity = self._velocity_at(stamp - delay)
-        then, ahead = self.pose_at(max(stamp - delay, self._reckoned[0][0])), max(stamp - delay - self.stamp, 0.0)
+        then, ahead = self.pose_at(max(stamp - delay, first)), max(stamp - delay - last, 0.0)
         if ahead > 0.0:  # the odometry is later than the measurement
             x, y, yaw = velocity
             then = Pose2(then.x + ahead * x, then.y + ahead * y, then.yaw + ahead * yaw)
-        off_x, off_y, off_yaw = measured.x - then.x, measured.y - then.y, normalize_angle(measured.yaw - then.yaw)
-        seen = _SEEN.copy()
-        seen[0, 2], seen[1, 2], seen[:, 5] = pose.y - then.y, then.x - pose.x, velocity
-        rate = seen[:, 5:]
-        noise = noise + self._errors.jitter**2 * (rate * rate.T)
-        seen[:, 5] *= -1.0
-        covariance = self._with_slip(*slip)
-        shared = seen @ covariance
-        white = _whitening(shared @ seen.T + noise)
-        miss = np.array((off_x, off_y, off_yaw))
-        whitened, white_shared = white @ miss, white @ shared
-        near = math.hypot(off_x, off_y) <= _ALWAYS_NEAR[0] and abs(off_yaw) <= _ALWAYS_NEAR[1]
-        if not near and float(whitened @ whitened) > GATE:
-            return self._put_aside(stamp, measured, then, noise) if may_move else "rejected"
-        change, gain = white_shared.T @ whitened, white_shared.T @ white
-        rest = _IDENTITY - gain @ seen
-        self.covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
+        miss = measured.x - then.x, measured.y - then.y, normalize_angle(measured.yaw - then.yaw)
+        lever, jitter = (pose.y - then.y, then.x - pose.x), self._errors.jitter
+        covariance, change, whitened = corrected(self._with_slip(*slip), lever, velocity, noise, jitter, miss)
+        near = math.hypot(miss[0], miss[1]) <= _ALWAYS_NEAR[0] and abs(miss[2]) <= _ALWAYS_NEAR[1]
+        first, second, third = whitened.tolist()
+        if not near and first * first + second * second + third * third > GATE:
+            if not may_move:
+                return "rejected"
+            return self._put_aside(stamp, measured, then, noise + jitter**2 * np.multiply.outer(velocity, velocity))
+        self.covariance = covariance
         self._shift(change)
         self.accepted, self.rejected = self.accepted + 1, 0
         self.measured_at = max(self.measured_at, stamp)
         if self._outside:
             self._outside = [one._replace(accepted_since=one.accepted_since + 1) for one in self._outside]
-        self._check_innovations(whitened, miss)
+        self._check_innovations((first, second, third), miss)
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
@@ -485,10 +479,10 @@ class PoseFilter:
         poses = [pose for _, pose in self._reckoned]
         return sum(before.distance_to(after) for before, after in itertools.pairwise(poses))
 
-    def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
+    def _check_innovations(self, whitened: tuple[float, float, float], miss: tuple[float, float, float]) -> None:
         """Increase the covariance if the innovations have a persistent sign; a correct model has white innovations."""
         newest = self._whitened
-        newest.append(tuple(whitened.tolist()))
+        newest.append(whitened)
         for count in range(2, min(_SUDDEN, len(newest)) + 1):
             if _mean_square(newest, count) > _SUDDEN_GATE and self._driven() > _SLIPPED:
                 self.covariance[:3, :3] += np.multiply.outer(miss, miss)
@@ -528,27 +522,110 @@ class _Outside(NamedTuple):
         return self.now @ (self.reckoned.inverse() @ reckoned)
 
 
+_INDEFINITE = "the covariance of a measurement is not positive definite"
 _STEPS = 4  # of the prediction over a straight motion: the covariance couples yaw and position to second order
+
+
+_GROW = Kernel("optdock_grown_covariance", sizes=0, numbers=5)
+_CORRECT = Kernel("optdock_corrected_state", sizes=0, numbers=1)
 
 
 def _grown(
     covariance: FloatArray, before: Pose2, after: Pose2, step: Pose2, period: float, errors: OdometryErrors
 ) -> FloatArray:
     """Return the covariance after a step of odometry, Shape (6, 6)."""
-    way, turn = step.x, step.yaw if -math.pi < step.yaw <= math.pi else normalize_angle(step.yaw)
+    turn = step.yaw if -math.pi < step.yaw <= math.pi else normalize_angle(step.yaw)
     driven, middle = math.hypot(step.x, step.y), before.yaw + 0.5 * turn
-    c, s = math.cos(middle), math.sin(middle)
+    added = (
+        errors.along**2 * driven,
+        errors.wander**2 * period,
+        errors.yaw_per_way**2 * driven + errors.yaw_per_turn**2 * abs(turn) + errors.yaw_wander**2 * period,
+    )
+    return grown(covariance, (after.x - before.x, after.y - before.y), step.x, middle, added)
+
+
+def _grown_natively(
+    covariance: FloatArray, moved: tuple[float, float], way: float, heading: float, added: tuple[float, float, float]
+) -> FloatArray:
+    out = np.empty((6, 6))
+    numbers = math.cos(heading), math.sin(heading), *moved, way
+    _GROW((), numbers, ((covariance, 36), (np.array(added), 3), (out, 36)))
+    return out
+
+
+@twin_of(_grown_natively)
+def grown(
+    covariance: FloatArray, moved: tuple[float, float], way: float, heading: float, added: tuple[float, float, float]
+) -> FloatArray:
+    """Return the covariance of the state after a step of odometry, Shape (6, 6).
+
+    Args:
+        covariance: Covariance before the step, Shape (6, 6).
+        moved: Displacement in the fixed frame [m].
+        way: Distance along the heading [m].
+        heading: Heading in the middle of the step [rad].
+        added: Variances added along the heading and to x and y each [m^2], and to yaw [rad^2].
+    """
+    c, s = math.cos(heading), math.sin(heading)
     slope = _IDENTITY.copy()
-    slope[0, 2], slope[1, 2] = before.y - after.y, after.x - before.x
+    slope[0, 2], slope[1, 2] = -moved[1], moved[0]
     slope[0, 3], slope[1, 3], slope[2, 4] = c * way, s * way, way
-    grown: FloatArray = slope @ covariance @ slope.T
-    along, wander = errors.along**2 * driven, errors.wander**2 * period
-    grown[0, 0] += c * c * along + wander
-    grown[1, 1] += s * s * along + wander
-    grown[0, 1] += c * s * along
-    grown[1, 0] += c * s * along
-    grown[2, 2] += errors.yaw_per_way**2 * driven + errors.yaw_per_turn**2 * abs(turn) + errors.yaw_wander**2 * period
-    return grown
+    found: FloatArray = slope @ covariance @ slope.T
+    along, wander, turned = added
+    found[0, 0] += c * c * along + wander
+    found[1, 1] += s * s * along + wander
+    found[0, 1] += c * s * along
+    found[1, 0] += c * s * along
+    found[2, 2] += turned
+    return found
+
+
+def _corrected_natively(
+    covariance: FloatArray,
+    lever: tuple[float, float],
+    velocity: tuple[float, float, float],
+    noise: FloatArray,
+    jitter: float,
+    miss: tuple[float, float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    measured, out = np.array((*lever, *velocity, *miss)), np.empty(45)
+    if _CORRECT((), (jitter,), ((covariance, 36), (noise, 9), (measured, 8), (out, 45))) < 0:
+        raise np.linalg.LinAlgError(_INDEFINITE)
+    return out[:36].reshape(6, 6), out[36:42], out[42:]
+
+
+@twin_of(_corrected_natively)
+def corrected(
+    covariance: FloatArray,
+    lever: tuple[float, float],
+    velocity: tuple[float, float, float],
+    noise: FloatArray,
+    jitter: float,
+    miss: tuple[float, float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the covariance after a measured pose, Shape (6, 6), the change of the state, and the whitened innovation.
+
+    Args:
+        covariance: Covariance of the state, Shape (6, 6).
+        lever: Change of the measured x and y per yaw of the present pose [m].
+        velocity: Velocity at the time of the measurement, in the fixed frame [m/s, m/s, rad/s].
+        noise: Covariance of the measured pose, Shape (3, 3).
+        jitter: Standard deviation of the time of the measurement [s].
+        miss: Measured minus expected pose, the yaw in (-pi, pi].
+
+    Raises:
+        LinAlgError: If the covariance of the innovation is not positive definite.
+    """
+    seen = _SEEN.copy()
+    seen[0, 2], seen[1, 2], seen[:, 5] = *lever, velocity
+    seen[:, 5] *= -1.0
+    noise = noise + jitter**2 * np.multiply.outer(velocity, velocity)
+    shared = seen @ covariance
+    white = _whitening(shared @ seen.T + noise)
+    whitened, white_shared = white @ np.array(miss), white @ shared
+    gain = white_shared.T @ white
+    rest = _IDENTITY - gain @ seen
+    return rest @ covariance @ rest.T + gain @ noise @ gain.T, white_shared.T @ whitened, whitened
 
 
 def _whitening(spread: FloatArray) -> FloatArray:
@@ -575,11 +652,11 @@ def _whitening(spread: FloatArray) -> FloatArray:
 
 def _root(pivot: float) -> float:
     if not pivot > 0.0:
-        raise np.linalg.LinAlgError("the covariance of a measurement is not positive definite")
+        raise np.linalg.LinAlgError(_INDEFINITE)
     return math.sqrt(pivot)
 
 
-def _mean_square(innovations: deque[tuple[float, ...]], count: int) -> float:
+def _mean_square(innovations: deque[tuple[float, float, float]], count: int) -> float:
     """Return the squared norm of the sum of the newest `count` innovations, divided by their number."""
     x = y = z = 0.0
     for k in range(-count, 0):

@@ -61,6 +61,11 @@ class Tube:
         path: The path.
         problem: Problem of the certificate.
         start_relief: Start relief of the certificate [m].
+
+    Attributes:
+        places: Arc lengths of sampled poses of the path, in equal distances of at most 2 mm, Shape (n,) [m].
+        poses: These poses, Shape (n, 3).
+        widths: Widths of the tube there, Shape (n,) [m].
     """
 
     def __init__(self, path: Path, problem: DockingProblem, start_relief: float = 0.0) -> None:
@@ -68,9 +73,9 @@ class Tube:
         self._radius = problem.robot.footprint.circumscribed_radius
         self._start_clearance = end_clearances(problem).start
         count = max(1, math.ceil(path.length / _SPACING))
-        self._s = readonly(np.linspace(0.0, path.length, count + 1))
-        self._poses = readonly(path.poses_at(self._s))
-        self._known_widths = readonly(self._widths(self._poses))
+        self.places = readonly(np.linspace(0.0, path.length, count + 1))
+        self.poses = readonly(path.poses_at(self.places))
+        self.widths = readonly(self._widths(self.poses))
 
     def width_at(self, s: FloatArray) -> FloatArray:
         """Return the largest displacement of the footprint at arc lengths `s` [m]. Shape (n,) [m]."""
@@ -89,11 +94,11 @@ class Tube:
         """
         rows = slice(None)
         if near is not None:
-            low, high = np.searchsorted(self._s, (near - within, near + within))
+            low, high = np.searchsorted(self.places, (near - within, near + within))
             rows = slice(max(0, int(low) - 1), int(high) + 1)
-        places, known, widths = self._s[rows], self._poses[rows], self._known_widths[rows]
+        places, known, widths = self.places[rows], self.poses[rows], self.widths[rows]
         first = [int(np.argmin(self._displacements(pose, known) - widths)) for pose in poses]
-        s, step, every = places[first], self._s[1] - self._s[0], np.arange(len(poses))
+        s, step, every = places[first], self.places[1] - self.places[0], np.arange(len(poses))
         at, moved, width = known[first], self._displacements(poses, known[first]), widths[first]
         for around in (_ALL_AROUND,) if len(poses) == 1 else (_AROUND, 0.2 * _AROUND):
             tried = np.minimum(np.maximum(s[:, None] + step * around, 0.0), self.path.length)

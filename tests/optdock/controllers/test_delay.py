@@ -99,19 +99,21 @@ def test_both_lanes_advance_the_models_equally(seed):
     random = np.random.default_rng(seed)
     period, begin = float(random.choice([0.005, 0.02, 0.1, 0.5])), 3.0
     since = [begin - 0.9, *sorted(begin - random.choice([0.02, 0.013, 0.2], 9) * random.integers(0, 9, 9) - 1e-9)]
-    commands, speeds = random.uniform(-1.0, 1.0, 10).tolist(), random.uniform(-1.0, 1.0, (11, 13))
+    commands, models = random.uniform(-1.0, 1.0, 10).tolist(), random.uniform(-1.0, 1.0, (2, 11, 13))
     found = []
     for lane in ("twin", "native"):
         with using_kernels(lane):
-            found.append(advanced(speeds, since, commands, begin, period))
+            found.append(advanced(models, (since, commands), (begin, period), (0.3, 0.9, period)))
     assert np.abs(found[0] - found[1]).max() < 1e-12
 
 
 def test_a_model_is_the_exact_response_to_its_delayed_command():
     """A step of the command at time 0, half a period before the end of the model's delay."""
-    speeds = advanced(np.zeros((11, 13)), [-1.0, 0.0], [0.0, 1.0], 0.09, 0.02)
+    history = [-1.0, 0.0], [0.0, 1.0]
+    speeds, misfits = advanced(np.zeros((2, 11, 13)), history, (0.09, 0.02), (0.1, 1.0, 0.02))
     latencies, lags = np.linspace(0.0, 0.2, 11), np.linspace(0.0, 0.3, 13)
     since = np.minimum(np.maximum(0.11 - latencies, 0.0), 0.02)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = np.where(since > 0.0, 1.0 - np.exp(-since / lags), 0.0)
     assert speeds == pytest.approx(wanted, abs=1e-12)
+    assert misfits == pytest.approx(0.02 * (wanted - 0.1) ** 2, abs=1e-12)

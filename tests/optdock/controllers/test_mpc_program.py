@@ -9,7 +9,10 @@ from scipy.linalg import solve_discrete_are
 
 from experiments.fuzz.kinds.kernels import replaced
 from optdock.controllers.mpc_program import (
+    CommandBounds,
+    MpcCycle,
     MpcWeights,
+    TrackingProgram,
     arcs_between,
     condensed,
     cost_to_go,
@@ -103,16 +106,14 @@ def test_the_cost_to_go_of_a_long_steady_drive_solves_the_riccati_equation():
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.1])
-@pytest.mark.parametrize("lane", LANES)
-def test_the_cost_is_that_of_the_predicted_errors(lane, lag):
+def test_the_cost_is_that_of_the_predicted_errors(lag):
     """Against the sum of the weighted squares, evaluated for random commands."""
     random, h = np.random.default_rng(5), np.array([0.02, *[0.05] * 7])
     times = 2.0 + np.concatenate(([0.0], np.cumsum(h)))
     poses = np.concatenate((reference(times), reference(times + lag)))
     state, weights, root = random.normal(size=5), np.array([2.0, 5.0, 1.5]), random.normal(size=(3, 3))
     after = root @ root.T
-    with using_kernels(lane):
-        found = condensed(poses, h, lag, state, weights, after)
+    found = condensed(poses, h, lag, state, weights, after)
     arcs = arcs_between(poses[:9], times - 2.0)
     prediction = predicted(state, step_matrices(arcs, (lag, lag)))
 
@@ -129,24 +130,89 @@ def test_the_cost_is_that_of_the_predicted_errors(lane, lag):
     assert found.nominal == pytest.approx(np.column_stack((leading.v, leading.w)), abs=1e-12)
 
 
-@needs_compiler
-@pytest.mark.parametrize("seed", range(20))
-def test_both_lanes_are_equal_up_to_rounding(seed):
-    """Also at rest, in turns in place, over whole turns of the yaw, and for a single step."""
-    random = np.random.default_rng(seed)
-    n, lag = int(random.integers(1, 20)), float(random.choice([0.0, 0.07, 0.3]))
-    h, moves = random.uniform(0.01, 0.2, n), random.uniform(-0.03, 0.03, (2 * n + 2, 3))
-    poses = np.cumsum(moves * random.choice([0.0, 1.0], 3), axis=0)
+def random_cycle(random, n):
+    """Data of a cycle, also at rest, in turns in place, over whole turns of the yaw, and without limits."""
+    first, other, infinite = *random.uniform(0.01, 0.2, 2), random.choice([1.0, np.inf], 3)
+    moves = random.uniform(-0.03, 0.03, (2 * n + 2, 3)) * random.choice([0.0, 1.0], 3)
+    poses = np.cumsum(moves, axis=0)
     poses[:, 2] += 2.0 * np.pi * random.integers(-2, 3, 2 * n + 2)
-    weights = MpcWeights(*(random.uniform(0.1, 9.0, size) for size in (3, 2, 2, 3)))
-    state, times = random.normal(size=5), np.concatenate(([0.0], np.cumsum(h)))
-    found = []
+    root, limits = random.normal(size=(3, 3)), random.uniform(0.1, 2.0, 6)
+    return MpcCycle(
+        poses=poses,
+        lengths=(first, other),
+        lag=float(random.choice([0.0, 0.07, 0.3])),
+        state=tuple(random.normal(size=5).tolist()),
+        after=root @ root.T,
+        nominal_before=tuple(random.normal(size=2).tolist()),
+        last=tuple(random.normal(size=2).tolist()),
+        last_acceleration=float(random.normal()),
+        elapsed=float(random.uniform(0.01, 0.2)),
+        bounds=CommandBounds((-0.2, 0.3), (-0.5, 0.6), 0.9 * limits[5] * infinite[0]),
+        limits=MotionLimits(
+            max_speed=limits[0],
+            max_reverse_speed=limits[1],
+            max_acceleration=limits[2],
+            max_deceleration=limits[3],
+            max_jerk=limits[4],
+            max_yaw_acceleration=infinite[1],
+            max_lateral_acceleration=limits[5] * infinite[0],
+            max_wheel_speed=infinite[2],
+        ),
+        curvature=None,
+    )
+
+
+def filled_program(cycle, weights, n, tube, lane):
+    """Arrays of the program for a cycle, and the commands that follow the reference."""
+    program = TrackingProgram(n, weights, ackermann=False, tube=tube)
+    with using_kernels(lane):
+        program.fill(cycle)
+    return *program._program[:4], program.nominal
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", range(30))
+def test_both_lanes_are_equal_up_to_rounding(seed):
+    random = np.random.default_rng(seed)
+    n, tube = int(random.integers(3, 20)), ((0.03, 0.1), None)[seed % 2]
+    weights, cycle = MpcWeights(*(random.uniform(0.1, 9.0, size) for size in (3, 2, 2, 3))), random_cycle(random, n)
+    times, found = np.concatenate(([0.0], np.cumsum(random.uniform(0.01, 0.2, n)))), []
     for lane in ("twin", "native"):
         with using_kernels(lane):
-            costs = cost_to_go(poses[: n + 1], times, weights)
-            found.append((*condensed(poses, h, lag, state, weights.errors, np.eye(3)), costs))
+            costs = cost_to_go(cycle.poses[: n + 1], times, weights)
+        found.append((*filled_program(cycle, weights, n, tube, lane), costs))
     for one, other in zip(*found, strict=True):
         assert np.abs(one - other).max() <= 1e-11 * max(1.0, np.abs(one).max())
+
+
+@pytest.mark.parametrize("lane", LANES)
+@pytest.mark.parametrize("seed", range(10))
+def test_plans_of_commands_satisfy_the_bounds_and_cost_least(lane, seed):
+    """On the way from the solution to other feasible commands the cost rises, and at once."""
+    random, n = np.random.default_rng(seed), 8
+    weights = MpcWeights(*(random.uniform(0.1, 9.0, size) for size in (3, 2, 2, 3)))
+    cycle = random_cycle(random, n)._replace(
+        last=(0.05, 0.1), last_acceleration=0.0, bounds=CommandBounds((-0.1, 0.1), (-0.3, 0.3), 0.1)
+    )
+    program = TrackingProgram(n, weights, ackermann=False, tube=(0.03, 0.1))
+    with using_kernels(lane):
+        found = program.solve(cycle)
+    assert found is not None
+    h, g, a, bounds, *_ = program._program
+    u = np.concatenate((found.commands.ravel(), [found.outside, found.over_jerk]))
+
+    def excess(u):
+        values = np.concatenate((u, a @ u))
+        return float(np.maximum(bounds[0] - values, values - bounds[1]).max())
+
+    def cost(u):
+        return 0.5 * float(u @ h @ u) + float(g @ u)
+
+    assert excess(u) <= 1e-8
+    constant = np.concatenate((np.tile(cycle.last, n), [1e3, 1e3]))  # feasible by the slacks
+    assert excess(constant) <= 0.0
+    for share in (1e-4, 1e-2, 1.0):
+        assert cost(u + share * (constant - u)) > cost(u)
 
 
 def test_whole_turns_of_the_yaw_are_no_motion():

@@ -2,18 +2,23 @@
 
 import itertools
 import math
+import shutil
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.fuzz.kinds.kernels import replaced
 from optdock.errors import InvalidValue
 from optdock.executor import pose_filter
-from optdock.executor.pose_filter import DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor.pose_filter import DeadReckoning, OdometryErrors, PoseFilter, corrected, grown
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.kernels import using_kernels
 from optdock.model.measurements import OdometryPose
 
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+LANES = ["twin", pytest.param("native", marks=needs_compiler)]
 SIGMA = 0.002, math.radians(0.1)
 NOISE = np.diag([SIGMA[0] ** 2, SIGMA[0] ** 2, SIGMA[1] ** 2])
 START = Pose2(1.0, -2.0, 3.0)
@@ -465,3 +470,52 @@ def test_whitening_is_the_inverse_of_the_cholesky_factor(seed):
     assert found == pytest.approx(np.tril(found))
     with pytest.raises(np.linalg.LinAlgError):
         pose_filter._whitening(spread - 2.0 * spread[0, 0] * np.diag([1.0, 0.0, 0.0]))
+
+
+# Covariances in both lanes.
+
+
+def random_state(random):
+    """Covariance of the state, of a measurement, and a lever, a velocity and a difference."""
+    roots = random.normal(size=(6, 6)), random.normal(size=(3, 3))
+    lever, velocity, miss = (tuple(random.normal(size=size).tolist()) for size in (2, 3, 3))
+    return roots[0] @ roots[0].T, roots[1] @ roots[1].T, lever, velocity, miss
+
+
+@pytest.mark.parametrize("lane", LANES)
+@pytest.mark.parametrize("seed", range(10))
+def test_a_correction_is_the_conditional_distribution(lane, seed):
+    """The information of the measurement is added to that of the state; the change is the gain times the difference."""
+    covariance, noise, lever, velocity, miss = random_state(np.random.default_rng(seed))
+    with using_kernels(lane):
+        found, change, whitened = corrected(covariance, lever, velocity, noise, 0.3, miss)
+    seen = np.hstack((np.eye(3), np.zeros((3, 3))))
+    seen[0, 2], seen[1, 2], seen[:, 5] = *lever, -np.array(velocity)
+    noise = noise + 0.09 * np.outer(velocity, velocity)
+    information = np.linalg.inv(covariance) + seen.T @ np.linalg.solve(noise, seen)
+    spread = seen @ covariance @ seen.T + noise
+    assert found @ information == pytest.approx(np.eye(6), abs=1e-6)
+    assert change == pytest.approx(covariance @ seen.T @ np.linalg.solve(spread, miss))
+    assert whitened @ whitened == pytest.approx(np.array(miss) @ np.linalg.solve(spread, miss))
+
+
+@pytest.mark.parametrize("lane", LANES)
+def test_an_indefinite_innovation_is_an_error(lane):
+    with using_kernels(lane), pytest.raises(np.linalg.LinAlgError):
+        corrected(-np.eye(6), (0.0, 0.0), (0.0, 0.0, 0.0), 0.5 * np.eye(3), 0.0, (0.0, 0.0, 0.0))
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", range(30))
+def test_both_lanes_are_equal_up_to_rounding(seed):
+    random = np.random.default_rng(seed)
+    covariance, noise, lever, velocity, miss = random_state(random)
+    (way, heading), added = random.normal(size=2).tolist(), tuple(random.uniform(0.0, 1.0, 3).tolist())
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            after = corrected(covariance, lever, velocity, noise, 0.3, miss)
+            found.append((grown(covariance, lever, way, heading, added), *after))
+    assert replaced() == ""
+    for one, other in zip(*found, strict=True):
+        assert np.abs(one - other).max() <= 1e-11 * max(1.0, np.abs(one).max())
