@@ -33,7 +33,9 @@ _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
 # Rounding of the curvature of a sampled arc [1/m]; with more bends than this within its gears a path is a curve, or
 # would stop too often.
 _SAME_BEND, _MOST_BENDS = 1e-5, 12
-_JOINED_SPACING = 0.02  # [m] between the poses of gears that are joined
+# Most distance between the poses of gears that are joined [m], and their least number: the smoother fits curvatures to
+# the directions of the chords.
+_JOINED_SPACING, _FEWEST_JOINED = 0.02, 10
 _LONGEST_LEFT_OUT = 0.5  # of the robot's length: longer gears cannot be replaced
 _DETOUR = 2.0  # least ratio of the lengths of both neighbours of a detour and of the detour
 # Largest gap in the heading, as a share of the largest turn of the other short gears, and gap that is always tried
@@ -163,7 +165,7 @@ def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
     """Return poses of a segment between two arc lengths [m], empty for an empty interval. Shape (n, 3)."""
     if end <= begin:
         return np.zeros((0, 3))
-    return segment.poses_at(np.linspace(begin, end, 2 + int((end - begin) / _JOINED_SPACING)))
+    return segment.poses_at(np.linspace(begin, end, _FEWEST_JOINED + int((end - begin) / _JOINED_SPACING)))
 
 
 def _joined(

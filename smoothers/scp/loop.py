@@ -94,6 +94,7 @@ class Progress(NamedTuple):
     iterate: Iterate
     iterations: int
     finished: bool
+    is_stuck: bool = False  # whether no step improves the iterate until the penalties are raised
 
 
 def search(
@@ -134,8 +135,9 @@ def search(
         if better is not None:
             finished = state.has_settled(current, better)
             current, around = better, None
+        penalties = state.penalties
         finished = finished or state.is_hopeless(current) or iteration == max_iterations
-        yield Progress(current, iteration, finished=finished)
+        yield Progress(current, iteration, finished=finished, is_stuck=state.penalties is not penalties)
         if finished:
             return
 
@@ -345,8 +347,9 @@ class _State:
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
     def accept(self) -> None:
-        """Enlarge the trust region after an accepted step."""
-        self.trust_region = min(self.settings.trust_growth * self.trust_region, self.settings.most_trust)
+        """Enlarge the trust region after an accepted step, unless a longer step was rejected just before."""
+        if self.rejections == 0:
+            self.trust_region = min(self.settings.trust_growth * self.trust_region, self.settings.most_trust)
         self.proximal = max(self.settings.proximal_cut * self.proximal, self.settings.least_proximal)
         self.rejections = 0
 
@@ -365,7 +368,7 @@ class _State:
         return after.feasible and before.feasible and min(gain, 2.0 * expected) < small
 
     def is_hopeless(self, current: Iterate) -> bool:
-        """Whether no step improves a feasible iterate, or the shortfall of an infeasible iterate no longer shrinks.
+        """Whether no step improves the iterate, or the shortfall of an infeasible iterate no longer shrinks.
 
         If the shortfall costs less than the path itself, the penalties are raised first.
         """
@@ -374,7 +377,8 @@ class _State:
             return self.rejections > settings.max_rejections or self.trust_region < settings.small_step
         self.shortfalls.append(current.missing)
         recent = self.shortfalls[-self.patience :]
-        if len(recent) < self.patience or recent[-1] < settings.shrinking * recent[0]:
+        is_stuck = self.rejections > settings.max_rejections_infeasible
+        if not is_stuck and (len(recent) < self.patience or recent[-1] < settings.shrinking * recent[0]):
             return False
         if penalties.clearance >= settings.most_penalty or penalties.clearance * current.missing > current.cost:
             return True

@@ -316,6 +316,7 @@ class Solver:
     _is_thorough: bool = False
     _closest: Iterate | None = None  # of the failed searches for this program
     _candidate: Iterate | None = None
+    _refused: Iterate | None = None  # the last candidate that was not accepted
 
     def __post_init__(self) -> None:
         self.times = IterationTimes(self.deadline, self.settings.anytime)
@@ -462,9 +463,20 @@ class Solver:
         for _ in range(self.settings.anytime.repairs + 1):
             self._search(nlp, guess)
             refused = self._settle(nlp)
-            if refused is None or not self.outcome.converged:
+            if refused is None or not self.outcome.converged or self._comes_too_close(refused):
                 break
             nlp, guess = self._repaired(nlp, refused), guess._replace(variables=refused.variables, begun=None)
+
+    def _comes_too_close(self, refused: Iterate) -> bool:
+        """Whether a candidate comes too close to an obstacle at a pose, by more than the buffer of the steps.
+
+        Its shortfall is then not due to the bound between nodes, and finer intervals do not help.
+        """
+        judged, share = self.outcome.refused, self.settings.anytime.violated_at_poses
+        if judged is None or refused.shortfall < self.settings.step.buffer:
+            return False
+        broken = judged[1].certificate.violations
+        return any(one.kind == "clearance" and one.amount > share * refused.shortfall for one in broken)
 
     def _repaired(self, nlp: NonlinearProgram, refused: Iterate) -> NonlinearProgram:
         """Return the program of the next search after a refused candidate."""
@@ -487,6 +499,11 @@ class Solver:
             self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
             self.outcome.iterations += progress.iterations > 0
             self._consider(progress.iterate)
+            if progress.is_stuck and self._candidate is None and self._is_nearly_feasible(nlp):
+                self._settle(nlp, progress.iterate)
+                self.outcome.converged = self.outcome.incumbent is not None
+            if self.outcome.converged and progress.is_stuck:
+                return
             if progress.iterations > 0:
                 self.times.measured(self.deadline.elapsed - before, expected)
             if self._enough(nlp):
@@ -521,13 +538,14 @@ class Solver:
         self.outcome.converged = self.outcome.converged or found
         return short or found
 
-    def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
-        """Certify the candidate, and return it if the certificate fails."""
-        candidate, self._candidate = self._candidate, None
-        if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible(nlp):
+    def _settle(self, nlp: NonlinearProgram, nearly: Iterate | None = None) -> Iterate | None:
+        """Certify the candidate, or a nearly feasible iterate, and return it if the certificate fails."""
+        candidate, self._candidate = self._candidate if nearly is None else nearly, None
+        is_last = candidate is None and self.outcome.converged and self.outcome.incumbent is None
+        if is_last and self._is_nearly_feasible(nlp):
             candidate = self.outcome.last
-        if candidate is None:
-            return None
+        if candidate is None or candidate is self._refused:
+            return candidate
         grace = self.settings.anytime.grace if self.outcome.incumbent is None else 0.0
         if not self.deadline.fits(self.times.certificate - grace):
             self.outcome.converged = False
@@ -539,7 +557,7 @@ class Solver:
             self.outcome.converged = False
             return None
         if not verdict.accepted:
-            self.outcome.refused = path, verdict
+            self.outcome.refused, self._refused = (path, verdict), candidate
             return candidate
         self.outcome.incumbent = Incumbent(path, verdict.certificate, candidate.cost)
         if self.outcome.first_certified is None:
@@ -554,7 +572,7 @@ class Solver:
 
     def _is_nearly_feasible(self, nlp: NonlinearProgram) -> bool:
         last = self.outcome.last
-        if last is None or not self.outcome.converged:
+        if last is None:
             return False
         chosen = self.settings.anytime
         lost = most_sag(last.rollout, nlp.scene.body.radius)

@@ -34,7 +34,7 @@ class ResolutionSettings:
     longest_span: float = 1.2  # of the smallest turning radius: longer spans cost up to 1 % on long paths
     most_spans: int = 80  # the programs grow with the square of it
     fewest_spans: int = 4  # per gear, for pose, curvature and rate at both ends
-    fewest_intervals: int = 2  # per span
+    fewest_intervals: int = 3  # per span: with 2, plans in parking slots cost 0.4 % more
     most_intervals: int = 12  # per span
     body_radius: float = 0.55  # [m]: the interval parameter is for such a body; larger ones have longer intervals
     many_obstacles: int = 60  # with more obstacles, intervals are longer ...
@@ -196,6 +196,7 @@ class LoopSettings:
     most_penalty: float = 300.0 * 36.0
     raised_trust: float = 0.1  # [rad] at least, after the penalty is raised
     raised_proximal: float = 1.0  # at most
+    # in a step that was not rejected before; always, an eighth more steps in parking slots
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
     trust_cut: float = 0.3
@@ -206,6 +207,9 @@ class LoopSettings:
     small_step: float = 3e-4  # [rad]: a feasible iterate with a smaller trust region has converged
     small_gain: float = 1e-3  # of the cost: ends the search, at most 0.35 % above the optimum of ipopt
     max_rejections: int = 7
+    # In a row, at an infeasible iterate: in 36 parking slots 1 of 40 accepted steps, but a sixth of the rejected ones,
+    # follow more rejections, and all plans are the same.
+    max_rejections_infeasible: int = 3
     shrinking: float = 0.93  # of the shortfall: continues an infeasible search beyond its patience
 
 
@@ -242,7 +246,8 @@ class AnytimeSettings:
     repairs: int = 2  # of a path that is not certified
     repair_nearest: int = 4  # times the obstacles per interval, at each repair
     repair_buffer: float = 3.0  # times the buffer, at each repair
-    repair_finer: int = 2  # times the intervals, where only the bound between nodes is violated
+    repair_finer: int = 2  # times the intervals, where only the bound between nodes is violated ...
+    violated_at_poses: float = 0.5  # ... and less than this share of the shortfall occurs at a pose
     nearly: float = 5e-3  # [m]: a smaller shortfall may be due to the bound between nodes and is certified
     nearly_in_sags: float = 2.0  # the same in sags: 5 cm for a car, 3 mm for a robot of 0.9 m
     same_pose: float = 1e-6  # [m, rad], as the certificate's

@@ -27,6 +27,7 @@ __all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "first_free", "joi
 
 _NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
+_FEWEST_POSES = 8  # of a path per arc: the smoother fits curvatures to the directions of the chords
 _ROUGH_BATCH = 256  # sequences per rough check
 _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; blocked arcs are dropped after it
 
@@ -90,11 +91,11 @@ class Arcs(NamedTuple):
         joints = self.joints()[0]
         return np.concatenate((self._before_ends(joints, spacing)[0], joints[-1:]))
 
-    def _before_ends(self, joints: FloatArray, spacing: float) -> tuple[FloatArray, IntArray]:
+    def _before_ends(self, joints: FloatArray, spacing: float, fewest: int = 1) -> tuple[FloatArray, IntArray]:
         """Return the poses of a single sequence without the ends of its arcs, (q, 3), and their numbers per arc."""
         lengths, curvatures = self.lengths[0], self.curvatures[0]
         size = np.abs(lengths)
-        counts = np.where(size > _NOTHING, np.ceil(size / spacing - 1e-9), 0.0).astype(np.int64)
+        counts = np.where(size > _NOTHING, np.maximum(np.ceil(size / spacing - 1e-9), fewest), 0.0).astype(np.int64)
         owner = np.arange(counts.size).repeat(counts)
         rank = np.arange(owner.size) - (counts.cumsum() - counts)[owner]
         return advance(joints[owner], lengths[owner] * rank / counts[owner], curvatures[owner]), counts
@@ -103,7 +104,7 @@ class Arcs(NamedTuple):
         """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
         assert len(self.lengths) == 1
         joints = self.joints()[0]
-        poses, counts = self._before_ends(joints, spacing)
+        poses, counts = self._before_ends(joints, spacing, _FEWEST_POSES)
         moving = counts.nonzero()[0]
         ahead = self.lengths[0, moving] > 0.0
         last = np.append((ahead[1:] != ahead[:-1]).nonzero()[0], moving.size - 1)  # the last arc of each gear

@@ -219,7 +219,7 @@ class Stages:
         is_tight = self.trees.room_before_dock(self._efforts[0]) < _TIGHT * EXIT_TURN * self._efforts[0].radius
         first, second = (self._along_routes, self._hybrid_a_star)[:: -1 if is_tight else 1]
         yield from first()
-        if self._is_worth_a_search():
+        if math.isinf(self._better_than()) or (not is_tight and self._is_worth_a_search()):
             yield from second()
 
     def _cheaper_first(self, *stages: Iterator[Guess]) -> Iterator[Guess]:

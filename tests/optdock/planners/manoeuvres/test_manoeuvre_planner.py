@@ -22,8 +22,9 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres import turns
+from optdock.planners.manoeuvres.arcs import Arcs
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner, turning_radius
+from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner, Stages, turning_radius
 from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price, least_prices
 from optdock.plugins.interfaces import GlobalPlanner, PluginContext
 from optdock.plugins.registry import timed_by
@@ -254,3 +255,22 @@ def test_no_guesses_of_turns_without_a_free_line():
     none = np.zeros(0, dtype=np.int64)
     found = turns._allowed_turns(np.zeros((0, 3)), np.zeros(0), none, space, Effort(1.0, 0.0, 4, 100))
     assert found.shape == (0,)
+
+
+def test_paths_have_enough_poses_per_arc_to_fit_curvatures():
+    arcs = Arcs(np.zeros((1, 3)), np.array([[0.01, -0.02, 3.0]]), np.array([[1.0, 1.0, 0.0]]))
+    path = arcs.path(0.5, arcs.joints()[0, -1], "map")
+    assert [len(segment.poses) - 1 for segment in path.segments] == [8, 8, 8]
+
+
+def test_plan_into_a_tight_dock_is_not_followed_by_a_search_along_routes(monkeypatch):
+    """Routes are only tried while there is no plan, however expensive the plan is."""
+    called = []
+    monkeypatch.setattr(Stages, "_along_routes", lambda self: iter(called.append(1) or ()))
+    problem = parallel_slot(Pose2(-10.0, 7.8, 0.0))
+    for price, expected in ((math.inf, [1]), (1000.0, [])):
+        called.clear()
+        best = [math.inf]
+        for guess in Stages(problem, 1.25, lambda: None, lambda best=best: best[0]).guesses():
+            best[0] = price if guess is not None else best[0]
+        assert called == expected
