@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, kernels_lane, twin_of
 from optdock.model.constant_jerk import braking_time
 from optdock.quadratic_program import EXACT, UNBOUNDED, DenseProgram, QuadraticProgram, minimizer
@@ -47,7 +48,7 @@ _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
 _AT_REST = 1e-6  # [m/s]
 _SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as zero
 _MOST_ITERATIONS = 300  # of DAQP, about 3 ms; a warm start takes 20
-_NO_GUESS = np.empty(0, dtype=np.int64)
+_NO_GUESS = readonly(np.empty(0, dtype=np.int64))
 
 
 class ReferenceArcs(NamedTuple):

@@ -169,7 +169,7 @@ def test_certify_accepts_what_plan_wrote(planned):
     assert (result.exit_code, result.stderr) == (0, "")
     lines = result.stdout.splitlines()
     assert lines[0].split() == ["verdict", "certified"]
-    assert re.search(r"^motion +12 phases, 9\.883 s, certified; 10\d samples agree with them$", lines[-1])
+    assert re.search(r"^motion +12 phases, 9\.882 s, certified; 10\d samples agree with them$", lines[-1])
 
 
 def without_phases(document):

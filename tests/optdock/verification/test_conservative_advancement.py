@@ -612,6 +612,13 @@ def test_far_from_everything_the_clearance_is_a_bound(late):
     assert certificate.margin <= truth - REQUIRED + 1e-9
 
 
+@pytest.fixture
+def by_rounds(monkeypatch):
+    """Every proof round by round in Python, as that of a path that the kernel cannot prove alone."""
+    monkeypatch.setattr(conservative_advancement, "_quick", lambda *_, **__: None)
+
+
+@pytest.mark.usefixtures("by_rounds")
 @pytest.mark.parametrize(("far", "runs"), [(0, 1), (9, 2)])
 def test_one_subdivision_is_enough_if_no_obstacle_was_cropped(monkeypatch, far, runs):
     path, made, run = curved_path(), [], _Subdivision.run
@@ -622,6 +629,7 @@ def test_one_subdivision_is_enough_if_no_obstacle_was_cropped(monkeypatch, far, 
     assert len(made) == runs
 
 
+@pytest.mark.usefixtures("by_rounds")
 def test_the_deadline_is_polled_between_blocks_of_a_long_path(monkeypatch):
     path = clothoid([0.0, 20.0], [0.0, 0.0])
     problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
@@ -635,6 +643,7 @@ def test_the_deadline_is_polled_between_blocks_of_a_long_path(monkeypatch):
     assert late.poses_checked < 100
 
 
+@pytest.mark.usefixtures("by_rounds")
 def test_the_deadline_is_polled_between_blocks_of_obstacles(monkeypatch):
     rng = np.random.default_rng(4)
     path = clothoid([0.0, 3.0], [0.0, 0.0])
