@@ -136,7 +136,7 @@ def _by_rounds(
     found = near.run() if len(near.near) else None
     if found is not None and (found.proven <= _CROP or len(near.near) == len(obstacles)):
         return found
-    # Obstacles that were left out are at least `far` away and cannot violate the rule. The nearest one may be among
+    # Obstacles that were left out are more than `_CROP` too far to violate the rule. The nearest one may be among
     # them, but it is no farther than the clearance at the end of the path.
     if sharp and not is_late():
         sharper = _Subdivision(motion, world, at_end, at_end, is_late).run()
