@@ -199,27 +199,27 @@ def test_collision_with_an_update_of_the_costmap(fresh: Surroundings, client_nod
     assert send(client_node, check=False).reply().result.error_code == 0
 
 
-def boxed(aside: int) -> Grid:
-    """Return the hall with a box on the path, or some cells beside it."""
+def boxed(low: int, high: int) -> Grid:
+    """Return the hall with a box on the path, between two rows of cells relative to the middle."""
     data = np.array(hall().data)
-    data[MIDDLE - 3 + aside : MIDDLE + 3 + aside, MIDDLE - 3 : MIDDLE + 3] = LETHAL
+    data[MIDDLE + low : MIDDLE + high, MIDDLE - 3 : MIDDLE + 3] = LETHAL
     return Grid(data, RESOLUTION, ORIGIN)
 
 
 def test_a_certified_path_within_a_cell_of_something(fresh: Surroundings, client_node: Client) -> None:
     """Nav2's check uses whole cells, and may reject a certified path; the message says how to avoid that."""
-    for aside in range(-3, 4):  # which cells a path touches depends on the box
-        fresh.costmap(boxed(aside))
+    codes = []
+    for low, high in ((-2, 3), (-2, 2), (-1, 2)):  # which cells the path touches depends on the box
+        fresh.costmap(boxed(low, high))
         time.sleep(0.1)
-        reply = send(client_node, smoother="casadi", check=True).reply()
-        if reply.result.error_code:
-            break
-    assert reply.result.error_code == SmoothPath.Result.SMOOTHED_PATH_IN_COLLISION, reply.result.error_msg
-    assert "its certified clearance is" in reply.result.error_msg
-    assert set_atomically(client_node, casadi__clearance=1.5 * RESOLUTION).successful
-    found = send(client_node, smoother="casadi", check=True).reply().result
-    assert set_atomically(client_node, casadi__clearance=0.0).successful
-    assert found.error_code == 0, found.error_msg
+        first = send(client_node, smoother="casadi", check=True).reply().result
+        assert set_atomically(client_node, casadi__clearance=1.5 * RESOLUTION).successful
+        found = send(client_node, smoother="casadi", check=True).reply().result
+        assert set_atomically(client_node, casadi__clearance=0.0).successful
+        codes.append((first.error_code, found.error_code))
+        if first.error_code == SmoothPath.Result.SMOOTHED_PATH_IN_COLLISION:
+            assert "its certified clearance is" in first.error_msg
+    assert (SmoothPath.Result.SMOOTHED_PATH_IN_COLLISION, 0) in codes
 
 
 def test_no_path_keeps_the_bounds(fresh: Surroundings, client_node: Client) -> None:
