@@ -323,12 +323,13 @@ class _Replanning:
             plan = self._otherwise(joint, guess, work)
             if plan is not None:
                 return self._new(joint, until, plan)
-        if deadline.left <= 0.0:
+        left = deadline.left
+        if left <= 0.0:
             late = ran_out_of_time("planning from the joint", self.budget)
             raise self.failure or SmootherTimedOut(late)
         plan = plan_dock(
             problem,
-            time_budget=deadline.left,
+            time_budget=left,
             cancel_checker=self.cancelled,
             least_gain=_LEAST_GAIN,
             **plugins._asdict(),

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.dense_check import dense_check
+from optdock.deadline import TICK, budget_clock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -223,6 +224,16 @@ def test_obstacle_before_the_joint_stops_the_robot_at_once():
     state = plan.trajectory.at(3.01)
     least = state.twist.linear**2 / (2.0 * LIMITS.max_deceleration)
     assert least <= found.trajectory.path.length <= least + 0.15 * state.twist.linear + 1e-9
+
+
+def test_a_budget_that_ends_between_any_two_readings_of_the_clock_is_answered():
+    plan = running()
+    s = float(plan.trajectory.sample_at(3.0).s[0])
+    world = with_obstacle(plan, plan.path.pose_at(s + 1.0))
+    for readings in range(1, 60):
+        with budget_clock("counted"):
+            found = replan(plan, world, DriveState(3.0), (readings + 0.5) * TICK, lead=LEAD)
+        assert found.outcome is not ReplanOutcome.KEPT
 
 
 def test_plan_is_kept_on_the_final_straight_within_the_tolerances():
