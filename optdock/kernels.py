@@ -183,15 +183,19 @@ class Kernel:
         self._counts = sizes, numbers
         self._function: ctypes._NamedFuncPointer | None = None
 
-    def _with_types(self, arrays: int) -> ctypes._NamedFuncPointer:
+    def _with_types(self, sizes: tuple[int, ...], numbers: tuple[float, ...], arrays: int) -> ctypes._NamedFuncPointer:
         """Return the function with the types of its arguments, which are set by the first call."""
+        if (len(sizes), len(numbers)) != self._counts:
+            raise ValueError(f"{self._symbol}: {len(sizes)} sizes and {len(numbers)} numbers")
         handle = _library().handle
         assert handle is not None
         function = handle[self._symbol]
         function.restype = ctypes.c_int64
-        sizes, numbers = self._counts
-        kinds = (ctypes.c_int64,) * sizes, (ctypes.c_double,) * numbers, (ctypes.c_void_p,) * arrays
-        function.argtypes = (*kinds[0], *kinds[1], *kinds[2])
+        function.argtypes = (
+            *(ctypes.c_int64,) * len(sizes),
+            *(ctypes.c_double,) * len(numbers),
+            *(ctypes.c_void_p,) * arrays,
+        )
         self._function = function  # now that its types are set, for calls in other threads
         return function
 
@@ -209,25 +213,33 @@ class Kernel:
             arrays: Arrays, each with the number of elements that the function reads or writes.
 
         Raises:
-            ValueError: If an array is not a contiguous array of doubles or int64, or has another number of elements.
+            ValueError: If an array is not a contiguous array of doubles or int64, or has another number of elements;
+                in the first call, if there are other numbers of `sizes` or `numbers`.
         """
-        if (len(sizes), len(numbers)) != self._counts:
-            raise ValueError(f"{self._symbol}: {len(sizes)} sizes and {len(numbers)} numbers")
-        addresses: list[object] = []
+        # `ctypes` passes the address of a `bytes` object and of an array of its own. `array.ctypes` takes four times as
+        # long as each of the two others.
+        arguments: list[object] = [*sizes, *numbers]
         for array, count in arrays:
-            if not array.flags.c_contiguous or array.dtype not in (_DOUBLE, _INT) or array.size != count:
-                told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
-                at = f"{self._symbol}: array {len(addresses)}"
-                raise ValueError(f"{at} must be contiguous with {count} elements, got {told}")
-            # `ctypes` passes the address of a `bytes` object and of an array of its own. `array.ctypes` takes four
-            # times as long as each of the two others.
+            if array.size != count or array.dtype not in (_DOUBLE, _INT):
+                raise self._wrong(array, count, arguments)
             base: object = array.base
-            if type(base) is bytes and len(base) == array.nbytes:  # see `geometry.arrays.readonly`
-                addresses += (base,)
-            else:
-                addresses += (_at_address_of(array) if array.flags.writeable else array.ctypes.data,)
-        function = self._function or self._with_types(len(addresses))
-        return int(function(*sizes, *numbers, *addresses))
+            if type(base) is bytes and len(base) == array.nbytes and array.flags.c_contiguous:
+                arguments += (base,)  # see `geometry.arrays.readonly`
+                continue
+            try:
+                arguments += (_at_address_of(array),)
+            except TypeError:  # of read-only arrays, and of those that are not contiguous
+                if not array.flags.c_contiguous:
+                    raise self._wrong(array, count, arguments) from None
+                arguments += (array.ctypes.data,)
+        function = self._function or self._with_types(sizes, numbers, len(arrays))
+        return int(function(*arguments))
+
+    def _wrong(self, array: NDArray[Any], count: int, before: list[object]) -> ValueError:
+        """Return the error for an array, given the arguments before it."""
+        place = len(before) - sum(self._counts)
+        told = f"{array.dtype} {array.shape}, contiguous: {array.flags.c_contiguous}"
+        return ValueError(f"{self._symbol}: array {place} must be contiguous with {count} elements, got {told}")
 
 
 def twin_of(

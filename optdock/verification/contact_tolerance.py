@@ -24,10 +24,13 @@ import numpy as np
 from optdock.geometry.footprint import CORE_DEPTH
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.polygon import convex_cover
+from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.certificate import Memo
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from shapely.geometry.base import BaseGeometry
 
     from optdock.geometry.arrays import FloatArray
@@ -42,6 +45,7 @@ _MARGIN = 0.1  # [m] around the box of interest, so that the edges of the box ar
 _LATTICE = 0.25  # [m]: a core takes 10 to 40 ms among the cells of a map; poses of a search are centimetres apart
 _MOST_CORES = 256  # per set of obstacles
 _ARC = 4  # segments of a quarter circle
+_APART = 1e-9  # [m]: far above the rounding of coordinates below 1000 km
 
 
 _CORES: Memo[ObstacleSet, dict[tuple[bytes, bytes], ObstacleSet]] = Memo()
@@ -62,16 +66,26 @@ def deep_pairs(
 def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> float:
     """Return an upper bound of the signed clearance at a pose, Shape (3,); 0 if no overlap exceeds `DEPTH`."""
     reach = footprint.circumscribed_radius
-    lower, upper = pose[:2] - reach, pose[:2] + reach
+    pairs = deep_pairs(footprint, obstacles, pose[:2] - reach, pose[:2] + reach)
+    smallest = min((_least_separation(bodies, pose, rocks) for bodies, rocks in pairs), default=0.0)
+    return smallest - DEPTH if smallest < 0.0 else 0.0
+
+
+def _least_separation(bodies: Sequence[ConvexBody], pose: FloatArray, obstacles: ObstacleSet) -> float:
+    """Return the smallest separation of bodies at a pose from obstacles if any overlap, else a number >= 0.
+
+    Pairs whose bounding boxes are more than `_APART` away from each other do not overlap and are omitted.
+    """
+    starts = np.cumsum([0, *(len(body.vertices) for body in bodies[:-1])])
+    corners = transform_points(pose[None], np.concatenate([body.vertices for body in bodies]))[0]
+    lower, upper = np.minimum.reduceat(corners, starts) - _APART, np.maximum.reduceat(corners, starts) + _APART
+    meets: FloatArray = ((obstacles.lower <= upper[:, None]) & (obstacles.upper >= lower[:, None])).all(axis=2)
     found = [
-        float(separation(body, np.tile(pose, (rows.size, 1)), rocks.pieces(rows)).distance.min())
-        for bodies, rocks in deep_pairs(footprint, obstacles, lower, upper)
-        for rows in (rocks.rows_in_box(lower, upper),)
-        for body in bodies
+        float(separation(body, np.tile(pose, (rows.size, 1)), obstacles.pieces(rows)).distance.min())
+        for body, rows in zip(bodies, map(np.flatnonzero, meets), strict=True)
         if rows.size
     ]
-    smallest = min(found, default=0.0)
-    return smallest - DEPTH if smallest < 0.0 else 0.0
+    return min(found, default=0.0)
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
