@@ -79,10 +79,10 @@ def _least_separation(bodies: Sequence[ConvexBody], pose: FloatArray, obstacles:
     starts = np.cumsum([0, *(len(body.vertices) for body in bodies[:-1])])
     corners = transform_points(pose[None], np.concatenate([body.vertices for body in bodies]))[0]
     lower, upper = np.minimum.reduceat(corners, starts) - _APART, np.maximum.reduceat(corners, starts) + _APART
-    meets: FloatArray = ((obstacles.lower <= upper[:, None]) & (obstacles.upper >= lower[:, None])).all(axis=2)
+    meets = np.all((obstacles.lower <= upper[:, None]) & (obstacles.upper >= lower[:, None]), axis=2)
     found = [
         float(separation(body, np.tile(pose, (rows.size, 1)), obstacles.pieces(rows)).distance.min())
-        for body, rows in zip(bodies, map(np.flatnonzero, meets), strict=True)
+        for body, rows in zip(bodies, (np.flatnonzero(row) for row in meets), strict=True)
         if rows.size
     ]
     return min(found, default=0.0)

@@ -111,6 +111,14 @@ def test_deadline_benchmark_with_a_busy_process(run):
     assert "1 busy processes" in done.stdout
 
 
+def test_late_calls_are_measured_again(run):
+    done = run("deadlines", "--among-walls", "--cpu-clock", "--calls", "2", "--budgets", "0.001")
+    assert done.returncode == 0, done.stderr
+    row = done.stdout.splitlines()[-1].split()
+    assert row[:3] == ["1", "2", "0"]
+    assert int(row[11]) <= int(row[10]) <= 2  # late again, late
+
+
 @pytest.mark.parametrize("wrong", [("nosuch",), ("smoothing", "timing", "--seeds", "1")])
 def test_unknown_names_are_refused_with_the_known_ones(run, wrong):
     done = run(*wrong)
