@@ -49,7 +49,7 @@ def late_twice(call, extra):
 def test_what_held_up_only_the_first_call_does_not_count(extra):
     first, again = late_twice(answer, extra)
     assert first >= extra + 0.02
-    assert extra <= again <= first - 0.02
+    assert extra <= again <= first - 0.01  # the repetitions are copies of a process, which takes time too
 
 
 def test_a_call_that_cannot_be_repeated_keeps_its_lateness():
