@@ -54,6 +54,7 @@ from optdock.planning.failures import Failure, check_ends, furthest, refusal, st
 from optdock.planning.guess_edits import FEWER_CUSPS, fewer_cusps, stopping_at_bends
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import (
+    PLAIN_TIMING,
     Cancellation,
     Refinement,
     at_work,
@@ -63,7 +64,7 @@ from optdock.planning.refinement import (
 )
 from optdock.plugins.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.outcomes import Guess
-from optdock.plugins.registry import PluginChoice, plugin_from
+from optdock.plugins.registry import PluginChoice, create_plugin, plugin_from
 from optdock.verification import compiled_clearances
 
 if TYPE_CHECKING:
@@ -282,6 +283,7 @@ def _warm_once(
             _Portfolio(work, (planner(),), (), PartialPlan()).plan()
     with contextlib.suppress(Exception):
         smoother().warm_up()
+    create_plugin(TimeParameterizer, PLAIN_TIMING)  # the first one of a process takes 4 ms
     prove_impossible(replace(problem, obstacles=long), time_budget=0.05)
     logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 

@@ -5,6 +5,8 @@ Budgets are counted, or the plug-ins say themselves that their time is up, so th
 
 import dataclasses
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -164,3 +166,16 @@ def blocked_straight():
     x, y = (EASY.goal @ Pose2(rear - 0.15, 0.0, 0.0)).as_array()[:2]
     beside = [[x - 0.05, y - 0.05], [x + 0.05, y - 0.05], [x + 0.05, y + 0.05], [x - 0.05, y + 0.05]]
     return dataclasses.replace(EASY, obstacles=EASY.obstacles + ObstacleSet.from_polygons([beside], "post"))
+
+
+PREPARED = """
+from optdock.planning.pipeline import warm_up
+from optdock.timing.windowed import WindowedParameters
+warm_up()
+print(WindowedParameters.__pydantic_complete__)
+"""
+
+
+def test_the_parameters_of_the_last_resort_of_timing_are_prepared_by_warm_up():
+    done = subprocess.run([sys.executable, "-c", PREPARED], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"  # otherwise they take 4 ms of the first call that needs them
