@@ -11,7 +11,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly
-from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
+from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon, strictly_convex
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
 
@@ -125,8 +125,12 @@ class ObstacleSet(FrozenArrays):
         Raises:
             InvalidValue: If a polygon has fewer than three vertices, no area, crossing edges or NaN.
         """
-        whole = (simple_polygon(polygon, f"{name}[{i}]") for i, polygon in enumerate(polygons))
-        return cls.from_decomposed(map(convex_pieces, whole), name)
+        given = [*polygons]
+        parts = [
+            convex_pieces(simple_polygon(polygon, f"{name}[{i}]")) if convex is None else (convex,)
+            for i, (polygon, convex) in enumerate(zip(given, strictly_convex(given), strict=True))
+        ]
+        return cls.from_decomposed(parts, name)
 
     @classmethod
     def from_decomposed(cls, polygons: Iterable[Sequence[FloatArray]], name: str = "obstacles") -> ObstacleSet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -16,13 +17,23 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from shapely.geometry.base import BaseGeometry
 
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["convex_cover", "convex_pieces", "edge_normals", "edge_planes", "is_convex", "signed_area", "simple_polygon"]
+__all__ = [
+    "convex_cover",
+    "convex_pieces",
+    "edge_normals",
+    "edge_planes",
+    "is_convex",
+    "signed_area",
+    "simple_polygon",
+    "strictly_convex",
+]
 
 _Point: TypeAlias = "tuple[float, float]"
 _Ring: TypeAlias = "list[_Point]"
 _DENT = 1e-9  # [m]: a polygon with dents up to this depth counts as its hull; far below all tolerances
+_NARROW = 1e-6  # area relative to the squared extent, below which `simple_polygon` decides what has no area
 
 
 def signed_area(vertices: FloatArray) -> float:
@@ -126,6 +137,51 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
     if is_straight or signed_area(points) <= smallest:
         raise InvalidValue(f"{name}: the polygon has no area")
     return readonly(np.ascontiguousarray(points))
+
+
+def strictly_convex(polygons: Sequence[ArrayLike]) -> list[FloatArray | None]:
+    """Return every valid polygon that is convex without straight angles, counter-clockwise, and None for all others.
+
+    The polygons are those that `simple_polygon` and `convex_pieces` return, but all polygons with the same number of
+    vertices are checked at once, which takes a twentieth of the time.
+    """
+    alike = defaultdict[int, list[int]](list)
+    arrays = [_numbers(polygon) for polygon in polygons]
+    for i, array in enumerate(arrays):
+        if array is not None:
+            alike[len(array)].append(i)
+    found: list[FloatArray | None] = [None] * len(arrays)
+    for rows in alike.values():
+        vertices, accepted = _counter_clockwise(np.array([arrays[i] for i in rows], dtype=np.float64))
+        for k in np.flatnonzero(accepted).tolist():
+            found[rows[k]] = vertices[k]
+    return found
+
+
+def _numbers(polygon: ArrayLike) -> FloatArray | None:
+    """Return numbers of Shape (n, 2), n >= 3, as an array, and None for anything else."""
+    try:
+        array = np.asarray(polygon)
+    except (TypeError, ValueError):
+        return None
+    is_table = array.dtype.kind in "iuf" and array.ndim == 2 and array.shape[1:] == (2,) and array.shape[0] >= 3
+    return array if is_table else None
+
+
+def _counter_clockwise(vertices: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return polygons, Shape (k, n, 2), counter-clockwise, and whether each is certainly valid and strictly convex."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        arms = vertices - vertices[:, :1]
+        area = 0.5 * np.sum(arms[:, :-1, 0] * arms[:, 1:, 1] - arms[:, :-1, 1] * arms[:, 1:, 0], axis=1)
+        vertices = np.where(area[:, None, None] < 0.0, vertices[:, ::-1], vertices)
+        after = np.roll(vertices, -1, axis=1) - vertices
+        before = np.roll(after, 1, axis=1)
+        cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
+        turned = np.sum(np.arctan2(cross, np.sum(before * after, axis=2)), axis=1)
+        extent = np.max(np.ptp(vertices, axis=1), axis=1)
+        is_bounded = np.max(np.abs(vertices), axis=(1, 2)) <= FARTHEST  # not NaN
+        is_convex = np.all(cross > 0.0, axis=1) & (np.abs(turned - 2.0 * np.pi) <= 1e-6)
+        return vertices, is_bounded & is_convex & (np.abs(area) > _NARROW * extent**2)
 
 
 def edge_normals(vertices: FloatArray) -> FloatArray:

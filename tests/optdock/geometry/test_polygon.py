@@ -1,5 +1,7 @@
 """Polygons: checks, convexity, decomposition; compared with shapely."""
 
+import math
+
 import numpy as np
 import pytest
 import shapely
@@ -7,7 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
-from optdock.geometry.polygon import convex_pieces, edge_normals, edge_planes, is_convex, signed_area, simple_polygon
+from optdock.geometry.polygon import (
+    convex_pieces,
+    edge_normals,
+    edge_planes,
+    is_convex,
+    signed_area,
+    simple_polygon,
+    strictly_convex,
+)
 
 L_SHAPE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]])
 
@@ -157,3 +167,36 @@ def test_no_vertex_lies_beyond_a_plane(seed):
     points = rng.normal(size=(6, 2)) * 10.0 ** rng.uniform(-3.0, 5.0)
     normals, offsets = edge_planes(points)
     assert np.all(np.max(normals @ points.T, axis=1) <= offsets + 1e-14 * np.max(np.abs(points)))
+
+
+COORDINATE = st.one_of(
+    st.integers(-2, 2).map(float),
+    st.floats(-3.0, 3.0),
+    st.sampled_from([math.nan, math.inf, 1e8, -2e8, 5e-324, 1e300]),
+    st.builds(lambda whole, part: whole + part, st.integers(-2, 2), st.floats(-1e-9, 1e-9)),
+)
+
+
+@settings(max_examples=300)
+@given(st.lists(st.lists(st.tuples(COORDINATE, COORDINATE), min_size=1, max_size=6), min_size=1, max_size=5))
+def test_polygons_checked_together_are_those_checked_one_by_one(polygons):
+    for polygon, found in zip(polygons, strictly_convex(polygons), strict=True):
+        if found is not None:  # others are checked one by one
+            (piece,) = convex_pieces(simple_polygon(polygon, "p"))
+            assert piece.tobytes() == found.tobytes()
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 3000), st.booleans())
+def test_convex_polygons_of_any_size_are_found_together(seed, is_clockwise):
+    rng = np.random.default_rng(seed)
+    polygons = []
+    for corners in rng.integers(3, 8, 6):
+        angle = 2.0 * np.pi * (np.arange(corners) + rng.uniform(0.1, 0.4, corners)) / corners
+        circle = rng.uniform(-9.0, 9.0, 2) + rng.uniform(0.01, 5.0) * np.column_stack((np.cos(angle), np.sin(angle)))
+        polygons.append(circle[::-1] if is_clockwise else circle)
+    found = strictly_convex([*polygons, L_SHAPE, "abc", [[0, 0], [1]], np.zeros((3, 2), dtype=bool)])
+    assert found[6:] == [None] * 4
+    for polygon, one in zip(polygons, found[:6], strict=True):
+        (piece,) = convex_pieces(simple_polygon(polygon, "p"))
+        assert piece.tobytes() == one.tobytes()
