@@ -159,13 +159,21 @@ def strictly_convex(polygons: Sequence[ArrayLike]) -> list[FloatArray | None]:
 
 
 def _numbers(polygon: ArrayLike) -> FloatArray | None:
-    """Return numbers of Shape (n, 2), n >= 3, as an array, and None for anything else."""
+    """Return numbers of Shape (n, 2), n >= 3, as an array, and None for anything else.
+
+    The first vertex is left out if it is the last one too, and vertices that repeat the last one are left out.
+    """
     try:
         array = np.asarray(polygon)
     except (TypeError, ValueError):
         return None
-    is_table = array.dtype.kind in "iuf" and array.ndim == 2 and array.shape[1:] == (2,) and array.shape[0] >= 3
-    return array if is_table else None
+    if array.dtype.kind not in "iuf" or array.ndim != 2 or array.shape[1] != 2 or array.shape[0] < 3:
+        return None
+    points = array.tolist()
+    first, end = int(points[0] == points[-1]), len(points)
+    while end > 3 and points[end - 1] == points[end - 2]:
+        end -= 1
+    return array[first:end] if end - first >= 3 else None
 
 
 def _counter_clockwise(vertices: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -187,14 +187,15 @@ def test_polygons_checked_together_are_those_checked_one_by_one(polygons):
 
 
 @settings(max_examples=50)
-@given(st.integers(0, 3000), st.booleans())
-def test_convex_polygons_of_any_size_are_found_together(seed, is_clockwise):
+@given(st.integers(0, 3000), st.booleans(), st.sampled_from(["open", "closed", "padded"]))
+def test_convex_polygons_of_any_size_are_found_together(seed, is_clockwise, kind):
     rng = np.random.default_rng(seed)
     polygons = []
     for corners in rng.integers(3, 8, 6):
         angle = 2.0 * np.pi * (np.arange(corners) + rng.uniform(0.1, 0.4, corners)) / corners
         circle = rng.uniform(-9.0, 9.0, 2) + rng.uniform(0.01, 5.0) * np.column_stack((np.cos(angle), np.sin(angle)))
-        polygons.append(circle[::-1] if is_clockwise else circle)
+        more = {"open": [], "closed": [0], "padded": [-1, -1]}[kind]
+        polygons.append(np.concatenate((circle, circle[more]))[:: -1 if is_clockwise and kind != "padded" else 1])
     found = strictly_convex([*polygons, L_SHAPE, "abc", [[0, 0], [1]], np.zeros((3, 2), dtype=bool)])
     assert found[6:] == [None] * 4
     for polygon, one in zip(polygons, found[:6], strict=True):
