@@ -23,7 +23,7 @@ import numpy as np
 from optdock.deadline import ENDLESS
 from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
-from optdock.timing.forward_backward import SLOWEST, SpeedProfile, ceiling, forward_backward_pass
+from optdock.timing.forward_backward import SLOWEST, SpeedProfile, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
 from optdock.timing.jerk_phases import MotionState
 from optdock.timing.reference_grid import (
@@ -230,67 +230,49 @@ _SAMPLE = (
 
 
 def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
-    limits, drive, jumps = bounds.limits, bounds.limits.drive, bounds.jumps.size
-    turning, n, cells = len(limits.turning), limits.s.size, limits.s.size - 1
-    zone = limits.zone_start if limits.has_zone else np.inf
-    profile, ends, rows = np.empty((2, n)), np.empty(9), 6 + turning
-    numbers = (
-        *(
-            drive.max_acceleration,
-            drive.max_deceleration,
-            drive.max_jerk,
-            bounds.jerk,
-            _price(bounds),
-            bounds.step,
-            zone,
-        ),
-        *(limits.caps.steering, bounds.cap_squared[0], *limits.turning_numbers, *start),
-    )
-    given = (
-        (_TUNING, _TUNING.size),
-        (bounds.packed[0], 7 * n - 6),
-        (limits.curvature, n),
-        (bounds.speed_squared, cells),
-        (ceiling(bounds), cells),
-        (limits.steepest, cells),
-        (np.concatenate(bounds.turning) if turning else _TUNING[:0], cells * turning),
-        (limits.rate_left, cells),
-        (limits.rate_right, cells),
-        (limits.slowness_left, cells),
-        (limits.slowness_right, cells),
-        (bounds.jumps, jumps),
-        (profile, 2 * n),
-        (ends, 9),
-    )
-    linear, curved = limits.turning_rows
-    room, parts = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE)), 3 * (linear + 2 * curved)
+    limits, drive, jumps, rows = bounds.limits, bounds.limits.drive, bounds.jumps.size, 6 + len(bounds.turning)
+    n, (linear, curved) = limits.s.size, limits.turning_rows
+    most = (drive.max_acceleration, drive.max_deceleration, drive.max_jerk, bounds.jerk, _price(bounds), bounds.step)
+    zone = limits.zone_start if limits.has_zone else math.inf
+    numbers = (*most, zone, limits.caps.steering, bounds.first_cap, *limits.turning_numbers, *start)
+    parts = 3 * (linear + 2 * curved)
+    room = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE))
     while True:
-        knots, inside, data = np.empty(rows * (room + 1)), np.empty(4 * room), np.empty(parts * room + 9)
-        first, work = np.empty(4 * room + 2), np.empty(size := 2 * n + 34 * room + 5 * jumps + 32)
-        new = (
-            (knots, rows * (room + 1)),
-            (inside, 4 * room),
-            (data, parts * room + 9),
-            (first, 4 * room + 2),
-            (work, size),
-            (np.empty(2 * jumps, dtype=np.int64), 2 * jumps),
+        size, work = 2 * n + (rows + 8 + parts) * room + rows + 20, 2 * n + 34 * room + 7 * jumps + 32
+        found = np.empty(size)
+        m = _KERNEL(
+            (n, rows - 6, jumps, room),
+            numbers,
+            (
+                (_TUNING, _TUNING.size),
+                (limits.table, 13 * n - 9),
+                (bounds.table, (rows - 4) * (n - 1)),
+                (bounds.jumps, jumps),
+                (found, size),
+                (np.empty(work), work),
+            ),
         )
-        m = _KERNEL((n, turning, jumps, room), numbers, (*given, *new))
         if m >= -1:
             break
         room = -m
     if m < 0:
         raise ValueError("reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits")
-    launched, jerk, s, v, a, stopped, *last = ends.tolist()
+    launched, jerk, s, v, a, stopped, *last = found[:9].tolist()
     launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
-    found = Prepared(SpeedProfile(*profile), launch, Arc(((stopped, bounds.jerk),), MotionState(*last)))
+    stop = Arc(((stopped, bounds.jerk),), MotionState(*last))
+    profile = SpeedProfile(found[9 : 9 + n], found[9 + n : 9 + 2 * n])
     if m == 0:
-        return found
-    row, cell = knots[: rows * (m + 1)].reshape(rows, m + 1), inside[: 4 * m].reshape(4, m)
+        return Prepared(profile, launch, stop)
+    begin = 9 + 2 * n
+    inside = begin + rows * (m + 1)
+    first = inside + 4 * m
+    data = first + 4 * m + 2
+    row, cell = found[begin:inside].reshape(rows, m + 1), found[inside:first].reshape(4, m)
     at_zone = zone_knot(limits, row[0])
     grid = Grid(row[0], cell[0], row[1], row[2], row[3:5], tuple(row[6:]), cell[1], cell[2:], at_zone, row[5])
-    program = Program(data[: parts * m + 9], m, linear, curved)
-    return Prepared(*found[:3], grid, program, first[: m + 2], first[m + 2 : 4 * m + 2].reshape(3, m))
+    program = Program(found[data : data + parts * m + 9], m, linear, curved)
+    curve = found[first + m + 2 : data].reshape(3, m)
+    return Prepared(profile, launch, stop, grid, program, found[first : first + m + 2], curve)
 
 
 @twin_of(_prepared_native)

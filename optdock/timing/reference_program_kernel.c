@@ -14,7 +14,7 @@ typedef struct {
     int64_t nodes, limits, jumps, room;
 } Counts;
 
-/* Bounds along the segment, by nodes (nodes,) or cells (nodes - 1,); see `ReferenceBounds` and `PathLimits`. */
+/* Bounds along the segment, by nodes (nodes,) or cells (nodes - 1,); see `PathLimits` and `ReferenceBounds`. */
 typedef struct {
     const double *s, *left, *slope; /* places; curvature, rate and slowness at the left end of cells, and slopes: (3, .) */
     const double *curvature, *speed_squared, *ceiling, *steepest, *turning; /* turning: (limits, nodes - 1) */
@@ -705,14 +705,17 @@ static Sizes sizes_of(Counts n, const Case *set, const Tuning *tuned, const Prof
  *   sizes      nodes, turning limits, jumps, most cells and samples
  *   numbers    see `Case`; then the start, s, v and a
  *   tuned      see `Tuning`
- *   along      (7 nodes - 6,), see `ReferenceBounds.packed`; the other inputs are those of `Bounds`
- *   profile    out, (2, nodes): v^2 and time
- *   ends       out, (9,): duration and jerk of the launch arc, state after it, duration of the stop arc, state before it
- *   knots      out, (6 + limits, m + 1), and cells: out, (4, m), see `set_limits`
- *   program    out: steps (m,), linear (3, 3 + 4 of order 1, m), with speed (3, 2 + 4 of order 2, m), places (3, 4 of
- *              order 2, m), right shares (m + 1,), bands (4, m + 2)
- *   first      out, coefficients (m + 2,), then x'' (3, m) as a stencil
- *   work       2 nodes + 34 most + 5 jumps + 32; indices: 2 jumps
+ *   along      (13 nodes - 9,), see `PathLimits.table`
+ *   bounds     (2 + limits, nodes - 1), see `ReferenceBounds.table`
+ *   jumps      (jumps,)
+ *   found      out, one after the other:
+ *              (9,): duration and jerk of the launch arc, state after it, duration of the stop arc, state before it;
+ *              profile (2, nodes): v^2 and time;
+ *              knots (6 + limits, m + 1) and cells (4, m), see `set_limits`;
+ *              coefficients (m + 2,), then x'' (3, m) as a stencil;
+ *              program: steps (m,), linear (3, 3 + 4 of order 1, m), with speed (3, 2 + 4 of order 2, m), places (3, 4
+ *              of order 2, m), right shares (m + 1,), bands (4, m + 2)
+ *   work       2 nodes + 34 most + 7 jumps + 32
  *
  * Return the number m of cells, 0 if the arcs leave no room for the reference, -1 if a size is wrong, and -m, or the
  * number of samples, if more cells or samples are needed. */
@@ -720,11 +723,8 @@ int64_t optdock_reference_program(
     int64_t nodes, int64_t limits, int64_t jumps, int64_t room, double acceleration, double deceleration, double full_jerk,
     double jerk, double price, double step, double zone_start, double is_steered, double first_cap, double order,
     double other_order, double bound, double other_bound, double start_s, double start_v, double start_a,
-    const double *tuned_numbers, const double *along, const double *curvature, const double *speed_squared,
-    const double *ceiling, const double *steepest, const double *turning, const double *rate_left,
-    const double *rate_right, const double *slowness_left, const double *slowness_right, const int64_t *jump_nodes,
-    double *profile_rows, double *ends, double *knots, double *cells, double *program, double *coefficients, double *work,
-    int64_t *indices)
+    const double *tuned_numbers, const double *along, const double *bounds, const int64_t *jump_nodes, double *found,
+    double *work)
 {
     if (nodes < 2 || limits < 0 || limits > MOST_LIMITS || jumps < 0 || room < 8)
         return -1;
@@ -734,24 +734,30 @@ int64_t optdock_reference_program(
     const double *g = tuned_numbers;
     Tuning tuned = {g[0],  g[1],  g[2],  g[3],  g[4],  g[5],  g[6],  g[7],  g[8],  g[9],
                     g[10], g[11], g[12], g[13], g[14], g[15], g[16], g[17], g[18], g[19]};
+    int64_t pieces = nodes - 1;
+    const double *left = along + nodes, *bend = left + 6 * pieces, *right = bend + nodes;
     Counts n = {nodes, limits, jumps, room};
-    Bounds of = {along,   along + nodes, along + nodes + 3 * (nodes - 1), curvature, speed_squared,  ceiling,   steepest,
-                 turning, rate_left,     rate_right,                      slowness_left, slowness_right, jump_nodes};
+    Bounds of = {along,         left,          left + 3 * pieces, bend,
+                 bounds,        bounds + pieces, right + 3 * pieces, bounds + 2 * pieces,
+                 left + pieces, right,         right + pieces,    right + 2 * pieces,
+                 jump_nodes};
     Case set = {acceleration, deceleration,         full_jerk,           jerk, step, zone_start, is_steered,
                 first_cap,    {order, other_order}, {bound, other_bound}};
+    double *ends = found, *profile_rows = ends + 9, *knots = profile_rows + 2 * nodes;
     Profile profile = {profile_rows, profile_rows + nodes, work};
     double *size = work + nodes, *samples = size + nodes, *places = samples + 2 * room, *sizes = places + jumps;
     double *taken = sizes + jumps, *breaks = taken + jumps + 4, *parts = breaks + jumps + 4, *more = parts + jumps + 4;
+    int64_t *large_nodes = (int64_t *)(work + 2 * nodes + 34 * room + 5 * jumps + 32);
     State first = {start_s, start_v, start_a}, last;
 
     set_profile(n, &of, &set, &tuned, start_v, &profile);
     ends[1] = 0.0;
     ends[0] = launch_arc(n, &of, &set, &tuned, &first, ends + 1);
     ends[5] = stop_arc(n, &of, &set, &tuned, &last);
-    double found[2][3] = {{first.s, first.v, first.a}, {last.s, last.v, last.a}};
+    double states[2][3] = {{first.s, first.v, first.a}, {last.s, last.v, last.a}};
     for (int64_t i = 0; i < 3; i++) {
-        ends[2 + i] = found[0][i];
-        ends[6 + i] = found[1][i];
+        ends[2 + i] = states[0][i];
+        ends[6 + i] = states[1][i];
     }
     if (last.s - first.s < tuned.least_rest * along[nodes - 1])
         return 0;
@@ -760,17 +766,19 @@ int64_t optdock_reference_program(
     if (periods > (double)(room - 1))
         return -(periods < 1e15 ? (int64_t)periods + 1 : (int64_t)1e15);
     set_clock(n, &of, &set, &tuned, (int64_t)periods + 1, &profile, samples, samples + room, size);
-    int64_t large = large_jumps(n, &of, &set, &tuned, &profile, indices, places);
-    int64_t count = set_breaks(n, &of, &set, &tuned, &profile, first, last, indices, large, indices + jumps, sizes, taken,
-                               breaks);
+    int64_t large = large_jumps(n, &of, &set, &tuned, &profile, large_nodes, places);
+    int64_t count = set_breaks(n, &of, &set, &tuned, &profile, first, last, large_nodes, large, large_nodes + jumps, sizes,
+                               taken, breaks);
     int64_t m = set_knots(n, &of, &set, &tuned, &profile, breaks, count, taken, parts, knots);
     if (m > room)
         return -m;
+    double *cells = knots + (6 + limits) * (m + 1), *coefficients = cells + 4 * m;
     set_limits(n, &of, &profile, places, large, m, knots, cells);
     Settings settings = {tuned.drive_share * acceleration, tuned.drive_share * deceleration,
                          jerk,    price,             total,   tuned.guess_share, tuned.guess_blend,
                          first.v, first.v * first.v, first.a, last.v,            last.v * last.v, last.a,
                          {order, other_order}};
-    make_program(sizes_of(n, &set, &tuned, &profile, m), &settings, knots, cells, profile_rows, program, coefficients, more);
+    make_program(sizes_of(n, &set, &tuned, &profile, m), &settings, knots, cells, profile_rows, coefficients + 4 * m + 2,
+                 coefficients, more);
     return m;
 }

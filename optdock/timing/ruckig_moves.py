@@ -325,10 +325,10 @@ _KERNEL = Kernel("optdock_move_excess", sizes=6, numbers=5)
 
 
 def _evaluate_native(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    n, turning, (along, jumps) = len(moves), bounds.limits.turning, bounds.packed
+    n, limits, turning, jumps = len(moves), bounds.limits, bounds.limits.turning, bounds.jump_table()
     rows = [phase for _start, own in moves for phase in own]
     phases, counts = np.array(rows), [len(own) for _start, own in moves]
-    total, nodes, found = len(rows), bounds.limits.s.size, np.empty((n, 2))
+    total, nodes, found = len(rows), limits.s.size, np.empty((n, 2))
     room = total + int(sum([row[0] for row in rows]) / _SAMPLE) + 1
     done = _KERNEL(
         (n, total, nodes, bounds.jumps.size, len(turning), room),
@@ -337,7 +337,7 @@ def _evaluate_native(bounds: ReferenceBounds, moves: list[tuple[MotionState, Pha
             (np.array(counts), n),
             (np.array([start for start, _own in moves]), 3 * n),
             (phases, 2 * total),
-            (along, 7 * nodes - 6),
+            (limits.table, 13 * nodes - 9),
             (jumps, 5 * bounds.jumps.size),
             (found, 2 * n),
             (np.empty(6 * room), 6 * room),

@@ -155,7 +155,7 @@ static int sample(const Limits *limits, State from, const double *phases, int64_
  *   counts     (n,), phases of every move
  *   starts     (n, 3), distance, speed and acceleration at the start of every move
  *   phases     (phases, 2), duration [s] and jerk [m/s^3], move after move
- *   limits     s (nodes,), then left and slope (3, nodes - 1) each, see `Limits`
+ *   limits     (13 nodes - 9,), see `PathLimits.table`
  *   jumps      (5, jumps), see `Jumps`
  *   found      out, (n, 2), excess and place [m]
  *   work       6 times the largest number of samples
