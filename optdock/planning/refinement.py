@@ -76,7 +76,7 @@ PLAIN_TIMING = "Windowed"  # its motions need no repair
 # Time reserved for timing the path and proving the motion: least and largest share of the budget, the limits of the
 # latter [s], and the time [s] on the benchmark machine: once, per gear and per metre.
 _RESERVED_LEAST, _RESERVED_SHARE, _RESERVED_RANGE, _PREDICTED = 0.15, 0.3, (0.004, 0.03), (5e-4, 1e-3, 7e-5)
-_COUNTED_PACE = 2.4  # counted time, relative to that of the benchmark machine
+_COUNTED_PACE = 1.2  # counted time, relative to that of the benchmark machine; 0.5 to 0.7 in most easy plans
 _PROOF = 0.0003  # [s], reserved for the proof of the motion, most of which is made with the timing
 
 _T = TypeVar("_T")

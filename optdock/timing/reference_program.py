@@ -24,7 +24,17 @@ from optdock.deadline import ENDLESS
 from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.timing.forward_backward import SLOWEST, SpeedProfile, forward_backward_pass
-from optdock.timing.interior_point import Program, applied, solve
+from optdock.timing.interior_point import (
+    AT_ONCE,
+    MOST_ITERATIONS,
+    SETTINGS,
+    Iterate,
+    Program,
+    advanced,
+    applied,
+    iterations_at_once,
+    solve,
+)
 from optdock.timing.jerk_phases import MotionState
 from optdock.timing.reference_grid import (
     CRUISE_SAMPLE,
@@ -217,15 +227,14 @@ class Prepared(NamedTuple):
     launch: Arc
     stop: Arc
     grid: Grid | None = None
-    program: Program | None = None
-    first: FloatArray | None = None  # first coefficients, Shape (M + 2,)
     curve: FloatArray | None = None  # stencil of x'', Shape (3, M)
+    program: Program | None = None
+    iterate: Iterate | None = None  # after the first iterations
 
 
-_KERNEL = Kernel("optdock_reference_program", sizes=4, numbers=16)
-_TUNING = readonly(np.array([SLOWEST, *TUNING, _GUESS_SAMPLE, _GUESS_SHARE, _GUESS_BLEND, 1.0 - _DRIVE_MARGIN]))
-_SAMPLE = (
-    0.06  # [s]: smallest period of samples and cells that the kernel assumes for the first estimate of their number
+_KERNEL = Kernel("optdock_reference_program", sizes=6, numbers=16)
+_TUNING = readonly(
+    np.array([SLOWEST, *TUNING, _GUESS_SAMPLE, _GUESS_SHARE, _GUESS_BLEND, 1.0 - _DRIVE_MARGIN, *SETTINGS])
 )
 
 
@@ -235,13 +244,14 @@ def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
     most = (drive.max_acceleration, drive.max_deceleration, drive.max_jerk, bounds.jerk, _price(bounds), bounds.step)
     zone = limits.zone_start if limits.has_zone else math.inf
     numbers = (*most, zone, limits.caps.steering, bounds.first_cap, *limits.turning_numbers, *start)
-    parts = 3 * (linear + 2 * curved)
+    parts, variables = 3 * (linear + 2 * curved), 2 * linear + 3 * curved + 1
     room = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE))
     while True:
-        size, work = 2 * n + (rows + 8 + parts) * room + rows + 20, 2 * n + 34 * room + 7 * jumps + 32
+        size = 2 * n + rows + 23 + (rows + 7 + parts + variables) * room
+        work = max(2 * n + 34 * room + 7 * jumps + 32, (5 * linear + 8 * curved + 17) * room + 4)
         found = np.empty(size)
         m = _KERNEL(
-            (n, rows - 6, jumps, room),
+            (n, rows - 6, jumps, room, MOST_ITERATIONS, AT_ONCE),
             numbers,
             (
                 (_TUNING, _TUNING.size),
@@ -257,33 +267,36 @@ def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
         room = -m
     if m < 0:
         raise ValueError("reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits")
-    launched, jerk, s, v, a, stopped, *last = found[:9].tolist()
+    launched, jerk, s, v, a, stopped, *last, count = found[:10].tolist()
     launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
     stop = Arc(((stopped, bounds.jerk),), MotionState(*last))
-    profile = SpeedProfile(found[9 : 9 + n], found[9 + n : 9 + 2 * n])
+    profile = SpeedProfile(found[10 : 10 + n], found[10 + n : 10 + 2 * n])
     if m == 0:
         return Prepared(profile, launch, stop)
-    begin = 9 + 2 * n
-    inside = begin + rows * (m + 1)
-    first = inside + 4 * m
-    data = first + 4 * m + 2
-    row, cell = found[begin:inside].reshape(rows, m + 1), found[inside:first].reshape(4, m)
+    knots = 10 + 2 * n
+    cells = knots + rows * (m + 1)
+    curve = cells + 4 * m
+    state = curve + 3 * m
+    data = state + variables * m + 4
+    row, cell = found[knots:cells].reshape(rows, m + 1), found[cells:curve].reshape(4, m)
     at_zone = zone_knot(limits, row[0])
     grid = Grid(row[0], cell[0], row[1], row[2], row[3:5], tuple(row[6:]), cell[1], cell[2:], at_zone, row[5])
     program = Program(found[data : data + parts * m + 9], m, linear, curved)
-    curve = found[first + m + 2 : data].reshape(3, m)
-    return Prepared(profile, launch, stop, grid, program, found[first : first + m + 2], curve)
+    iterate = Iterate(found[state:data], int(count), bool(found[data - 1]) or count == MOST_ITERATIONS)
+    return Prepared(profile, launch, stop, grid, found[curve:state].reshape(3, m), program, iterate)
 
 
 @twin_of(_prepared_native)
 def prepared(bounds: ReferenceBounds, start: MotionState) -> Prepared:
-    """Return the reference program from a start state to rest, and its first coefficients."""
+    """Return the reference program from a start state to rest, and the iterate after its first iterations."""
     profile = forward_backward_pass(bounds, start)
     launch, stop = launch_arc(bounds, start), stop_arc(bounds)
     if stop.state.s - launch.state.s < LEAST_REST * bounds.limits.length:
         return Prepared(profile, launch, stop)
     grid = grid_of(bounds, profile, launch.state, stop.state)
-    return Prepared(profile, launch, stop, grid, *program_on(bounds, profile, grid, launch.state, stop.state))
+    program, first, curve = program_on(bounds, profile, grid, launch.state, stop.state)
+    iterate = advanced(program, Iterate(first), iterations_at_once(program.m))
+    return Prepared(profile, launch, stop, grid, curve, program, iterate)
 
 
 def program_on(
@@ -329,12 +342,11 @@ def solve_reference(
     """
     deadline.look()
     limits = bounds.limits
-    profile, launch, stop, grid, program, c, curve = prepared(bounds, start)
-    if grid is None or program is None or c is None or curve is None:
+    profile, launch, stop, grid, curve, program, iterate = prepared(bounds, start)
+    if grid is None or curve is None or program is None or iterate is None:
         return None
     first, last = launch.state, stop.state
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
-        c, iterations = solve(program, c, deadline.look)
+    c, iterations = solve(program, iterate, deadline.look)
     padded = np.concatenate((grid.steps[:1], grid.steps, grid.steps[-1:]))
     before = padded[:-1]
     both = before + padded[1:]
