@@ -494,17 +494,6 @@ class ReferenceBounds:
         """Bound on the jerk of the reference [m/s^3]."""
         return self.limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
 
-    def jump_table(self) -> FloatArray:
-        """Return `jump_excess_at` for kernels: place, curvature, rates on both sides, slowness. Shape (5, jumps)."""
-        limits, nodes = self.limits, self.jumps
-        table = np.zeros((5, nodes.size))
-        if nodes.size:
-            table[:2] = limits.s[nodes], limits.curvature[nodes]
-            table[2:4] = limits.rate_right[nodes - 1], limits.rate_left[nodes]
-            if limits.caps.steering:
-                table[4] = np.maximum(limits.slowness_right[nodes - 1], limits.slowness_left[nodes])
-        return table
-
     def curve_at(self, s: FloatArray) -> FloatArray:
         """Return curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""
         limits = self.limits

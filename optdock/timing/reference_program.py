@@ -319,9 +319,7 @@ def _price(bounds: ReferenceBounds) -> float:
 class ReferenceStates(NamedTuple):
     """States at the knots of the spline, and the arcs on both sides of it."""
 
-    s: FloatArray  # Shape (M + 1,) [m]
-    v: FloatArray  # Shape (M + 1,) [m/s]
-    a: FloatArray  # Shape (M + 1,) [m/s^2]
+    states: FloatArray  # distance [m], speed [m/s] and acceleration [m/s^2], Shape (3, M + 1)
     curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
     durations: FloatArray  # of the cells, in which the acceleration is linear in s, Shape (M,) [s]
     grid: Grid  # the knots
@@ -352,14 +350,14 @@ def solve_reference(
     both = before + padded[1:]
     share, slope = before / both, 1.0 / both
     x, a = (1.0 - share) * c[:-1] + share * c[1:], slope * c[1:] - slope * c[:-1]
-    v = np.sqrt(np.maximum(x, 1e-12))
     a = np.minimum(np.maximum(a, -limits.drive.max_deceleration), limits.drive.max_acceleration)
-    v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
-    durations = 2.0 * grid.steps / (v[:-1] + v[1:])
+    states = np.array((grid.knots, np.sqrt(np.maximum(x, 1e-12)), a))
+    states[1:, 0], states[1:, -1] = first[1:], last[1:]
+    durations = 2.0 * grid.steps / (states[1, :-1] + states[1, 1:])
     longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
     if not float(durations.sum()) <= longest:
         return None
-    return ReferenceStates(grid.knots, v, a, applied(curve, c), durations, grid, launch, stop, iterations)
+    return ReferenceStates(states, applied(curve, c), durations, grid, launch, stop, iterations)
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:

@@ -160,6 +160,8 @@ def test_a_jump_that_is_no_inner_node_is_an_error(case, jump):
     bounds.jumps = np.array([jump])
     with pytest.raises(ValueError, match="jumps at inner nodes"):
         _prepared_native(bounds, start)
+    with pytest.raises(ValueError, match="jumps at inner nodes"):
+        ruckig_moves._evaluate_native(bounds, [(start, ((0.1, 0.0),))])
 
 
 def drawn_moves(rng, length):
