@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -53,7 +52,7 @@ from optdock.verification import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from optdock.deadline import Deadline
     from optdock.model.problem import DockingProblem
@@ -100,6 +99,8 @@ class Cancellation:
     def __init__(self, checker: Callable[[], bool]) -> None:
         self._checker, self._cancelled = checker, False
         self.raised: BaseException | None = None
+        # What plugins poll: a caller who never cancels is not asked.
+        self.checker: Callable[[], bool] = never_cancelled if checker is never_cancelled else self
 
     def __call__(self) -> bool:
         """Whether the caller cancelled."""
@@ -293,7 +294,7 @@ class Refinement:
                         min(left - reserve, most),
                         problem=problem,
                         warm_start=earlier if begun is None else begun,
-                        cancel_checker=self.cancelled,
+                        cancel_checker=self.cancelled.checker,
                     )
                 except InvalidPath as error:
                     if is_given:
@@ -365,7 +366,7 @@ class Refinement:
                 start_speed=speed,
                 start_acceleration=acceleration,
                 max_time=allowance,
-                cancel_checker=self.cancelled,
+                cancel_checker=self.cancelled.checker,
                 **waits,
             )
         returned(result, TimingResult, method)
@@ -412,35 +413,55 @@ class StageTimer:
         work.timing_ms[self._stage] = work.timing_ms.get(self._stage, 0.0) + 1e3 * took
 
 
-@contextlib.contextmanager
-def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
-    """Configure a plugin for the problem; an error that is not in its interface is converted to a PluginError.
+def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> _AtWork:
+    """Return a context that configures a plugin for the problem and converts errors that are not in its interface.
 
-    Raises:
+    Raises on entry and exit:
         PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.
         LifecycleError: If the plugin is configured already.
     """
-    name = type(plugin).__name__
-    if plugin.state is not LifecycleState.UNCONFIGURED:
-        raise LifecycleError(f"{name} is {plugin.state.value}, must be unconfigured; plan_dock configures its plugins")
-    try:
-        plugin.configure(PluginContext(name=plugin.name, problem=problem))
+    return _AtWork(plugin, problem, cancelled)
+
+
+class _AtWork:
+    """See `at_work`."""
+
+    __slots__ = ("_cancelled", "_plugin", "_problem")
+
+    def __init__(self, plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> None:
+        self._plugin, self._problem, self._cancelled = plugin, problem, cancelled
+
+    def __enter__(self) -> None:
+        plugin, state = self._plugin, self._plugin.state
+        if state is not LifecycleState.UNCONFIGURED:
+            name = type(plugin).__name__
+            raise LifecycleError(f"{name} is {state.value}, must be unconfigured; plan_dock configures its plugins")
         try:
-            yield
-        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, because the problem is valid
-            raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-        finally:
-            plugin.cleanup()
-    except GeneratorExit:  # raised when the generator of guesses is closed
-        raise
-    except BaseException as error:
-        if cancelled.raised is not None:
-            raise cancelled.raised from None
-        if isinstance(error, OptdockError) or not isinstance(error, Exception):
+            plugin.configure(PluginContext(name=plugin.name, problem=self._problem))
+        except BaseException as error:
+            self._replace(error)
             raise
-        raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-    if cancelled.raised is not None:  # the plugin suppressed the cancellation
-        raise cancelled.raised
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        try:
+            self._plugin.cleanup()
+        except BaseException as later:
+            self._replace(later)
+            raise
+        if error is not None:
+            # The problem is valid, so that an invalid value is a fault of the plugin.
+            self._replace(error, is_fault=isinstance(error, InvalidValue | InvalidPath))
+        elif self._cancelled.raised is not None:  # the plugin suppressed the cancellation
+            raise self._cancelled.raised
+
+    def _replace(self, error: BaseException, *, is_fault: bool = False) -> None:
+        """Raise the error that replaces `error`, if there is one."""
+        if isinstance(error, GeneratorExit):  # raised when the generator of guesses is closed
+            return
+        if self._cancelled.raised is not None:
+            raise self._cancelled.raised from None
+        if isinstance(error, Exception) and (is_fault or not isinstance(error, OptdockError)):
+            raise PluginError(f"{type(self._plugin).__name__} failed: {type(error).__name__}: {error}") from error
 
 
 def sampled_bounds(

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from optdock.deadline import ENDLESS, Deadline, OutOfTime, Stopwatch
+from optdock.deadline import ENDLESS, Deadline, OutOfTime, Stopwatch, never_late
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import LIMITS
@@ -140,7 +140,7 @@ class SegmentTimeParameterizer(TimeParameterizer):
             PluginError: If the package ruckig is not installed.
             TimingCancelled: If `cancel_checker` returned True.
         """
-        deadline = Deadline(max_time, stop=cancel_checker)
+        deadline = Deadline(max_time, stop=never_late if cancel_checker is never_cancelled else cancel_checker)
         start = TimingStart(start_speed, start_acceleration, start_wait)
         return time_path(path, limits, zone, start, self.segment_plans, deadline)
 
