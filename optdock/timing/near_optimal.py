@@ -198,10 +198,10 @@ def _references(
         found = reference_motion(ReferenceBounds(limits, *options, tightenings), start, deadline)
         if found is None:
             return
-        motion = Motion.of(start, found.phases)
         if found.sound:
-            yield from _if_ok(arrived_plan(limits, motion, how))
+            yield from _if_ok(arrived_plan(limits, start, found.phases, how))
         deadline.look()
+        motion = Motion.of(start, found.phases)
         tried.append(_Tried(found, worst_ratio(limits, motion)))
         yield from _repaired(limits, motion, tried[-1], how)
         tightenings += _tightened(tried[-1])

@@ -17,7 +17,7 @@ Speeds are stored as their reciprocals, `slowness`: the largest reciprocal is th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -78,21 +78,22 @@ class LimitPoints(NamedTuple):
     slowness: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class SpeedCaps:
-    """Speed caps as a function of curvature, as their reciprocals; `direction` is the gear."""
+    """Speed caps as a function of curvature, as their reciprocals; `direction` is the gear.
+
+    Attributes:
+        max_speed: Speed limit of the gear [m/s].
+        steering: Whether the steering rate is limited, so that the curvature rate caps the speed.
+    """
 
     drive: MotionLimits
     direction: Direction
-    max_speed: float = field(init=False)  # speed limit of the gear [m/s]
-    steering: bool = field(
-        init=False
-    )  # whether the steering rate is limited, so that the curvature rate caps the speed
 
     def __post_init__(self) -> None:
         drive = self.drive
-        top = drive.max_speed if self.direction > 0 else drive.max_reverse_speed
-        vars(self).update(max_speed=top, steering=math.isfinite(drive.max_steering_rate))
+        self.max_speed = drive.max_speed if self.direction > 0 else drive.max_reverse_speed
+        self.steering = drive.max_steering_rate < math.inf
 
     def slowness(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
         """Return the reciprocal of the lowest speed cap at |curvature| + excess, without the steering cap. Shape (n,).
@@ -283,7 +284,7 @@ def segment_limits(
     zone = min(max(zone_start, 0.0), segment.length), zone_speed
     if isinstance(segment, ClothoidSegment):
         # The last bits of a cube root, which turning limits of order 2 need, depend on the library.
-        has_roots = math.isfinite(caps.drive.max_lateral_jerk)
+        has_roots = caps.drive.max_lateral_jerk < math.inf
         table = (_clothoid_numpy if has_roots else _clothoid_chosen)(segment.spline, caps, *zone)
         return PathLimits(table, caps, zone_speed, None, begin)
     s = _nodes(segment.knots, _POLYLINE_SPACING, zone[0])
@@ -440,6 +441,7 @@ class ReferenceBounds:
         turning: Turning limits in each cell for the reference, Shape (n - 1,) each.
         ceiling: Bound on v^2 with the turning limits as speed caps at a = 0, Shape (n - 1,) [m^2/s^2].
         table: `speed_squared`, `ceiling` and `turning`, for kernels, Shape (2 + limits, n - 1).
+        jerk: Bound on the jerk of the reference [m/s^3].
         first_cap: v^2 of the speed cap of the first cell, without margin [m^2/s^2].
         jumps: Indices of the inner nodes where a jump of the curvature rate is large in relation to the limit of the
             yaw acceleration or to the cap of the steering rate.
@@ -453,16 +455,17 @@ class ReferenceBounds:
 
     def __post_init__(self) -> None:
         limits = self.limits
-        relieved = limits.s[:-1] < self.relief
+        self.jerk = limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
+        relieved = limits.s[:-1] < self.relief if self.relief > 0.0 else np.False_
         factor = self._factors() if self.tightenings else 1.0
         cap = limits.slowest**-2.0
-        speed = (factor * np.where(relieved, 1.0 - _RELIEVED_SPEED, 1.0 - SPEED_MARGIN)) ** 2
-        share = factor**2 * np.where(relieved, 1.0 - _RELIEVED_YAW, 1.0 - _YAW_MARGIN)
+        speed = factor * np.where(relieved, 1.0 - _RELIEVED_SPEED, 1.0 - SPEED_MARGIN)
+        share = factor * factor * np.where(relieved, 1.0 - _RELIEVED_YAW, 1.0 - _YAW_MARGIN)
         self.first_cap = float(cap[0])
         self.table = table = np.empty((2 + len(limits.turning), cap.size))
         self.speed_squared, self.ceiling, *turning = table
         self.turning = tuple(turning)
-        self.speed_squared[:] = self.ceiling[:] = cap * speed
+        self.speed_squared[:] = self.ceiling[:] = cap * (speed * speed)
         for limit, bounds in zip(limits.turning, turning, strict=True):
             bounds[:] = limit.bounds(share)
             self.ceiling[:] = np.minimum(self.ceiling, limit.most_squared(bounds, np.maximum(limits.steepest, 1e-9)))
@@ -488,11 +491,6 @@ class ReferenceBounds:
             inside = (s[1:] > stretch.left) & (s[:-1] < stretch.right)
             factor = np.where(inside, np.minimum(factor, stretch.factor), factor)
         return factor
-
-    @property
-    def jerk(self) -> float:
-        """Bound on the jerk of the reference [m/s^3]."""
-        return self.limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
 
     def curve_at(self, s: FloatArray) -> FloatArray:
         """Return curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""

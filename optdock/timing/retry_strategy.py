@@ -64,6 +64,7 @@ __all__ = [
 ]
 
 LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
+_REST = MotionState()
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are omitted
 _WITHOUT_MOTION = TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT
 # Reserves of a deadline, as multiples of the time for evaluating the curvature of the path, which depends on path and
@@ -215,7 +216,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
         plans.append(best_of(waiting[-1]))
         if plans[-1].status >= TimingStatus.FAIL or not plans[-1].arrives:
             break
-        state = MotionState() if plans[-1].phases else state
+        state = _REST if plans[-1].phases else state
         deadlines = deadlines if plans[-1].status is TimingStatus.OK else deadlines.refused
     return _proven(path, request, plans, waiting, whole)
 
