@@ -13,10 +13,10 @@ typedef struct {
     int64_t count;
 } Spline;
 
-/* Limits of the drive; those without a bound are infinite. */
+/* Limits of the drive, infinite without a bound, or their reciprocals, with the slowness at the largest speed. */
 typedef struct {
-    double max_speed, max_yaw_rate, max_lateral_acceleration, max_wheel_speed, track_width;
-    double max_steering_rate, wheelbase, max_yaw_acceleration;
+    double slowest, per_yaw_rate, per_lateral_acceleration, max_wheel_speed, track_width;
+    double max_steering_rate, wheelbase, per_yaw_acceleration;
 } Drive;
 
 /* Columns of the table, by nodes (n,) or cells (n - 1,); see `PathLimits`. */
@@ -80,16 +80,36 @@ static double nearest_node(int64_t n, const double *s, double place)
 /* Reciprocal of the lowest speed cap without the steering cap; see `SpeedCaps.slowness`. */
 static double slowness_at(Drive drive, double curvature)
 {
-    double bend = fabs(curvature), found = most(1.0 / drive.max_speed, bend * (1.0 / drive.max_yaw_rate));
-    found = most(found, sqrt(bend * (1.0 / drive.max_lateral_acceleration)));
-    return most(found, (1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed);
+    double bend = fabs(curvature), found = most(drive.slowest, bend * drive.per_yaw_rate);
+    if (drive.per_lateral_acceleration > 0.0)
+        found = most(found, sqrt(bend * drive.per_lateral_acceleration));
+    if (drive.max_wheel_speed < INFINITY)
+        found = most(found, (1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed);
+    return found;
 }
 
-/* See `SpeedCaps.steering_slowness`. */
-static double steering_slowness(Drive drive, double curvature, double rate)
+/* A slowness at least that of the steering cap; see `SpeedCaps.steering_slowness`. */
+static double with_steering(Drive drive, double slowness, double curvature, double rate)
 {
+    if (!(drive.max_steering_rate < INFINITY))
+        return slowness;
     double tangent = drive.wheelbase * curvature;
-    return drive.wheelbase * fabs(rate) / (1.0 + tangent * tangent) / drive.max_steering_rate;
+    return most(slowness, drive.wheelbase * fabs(rate) / (1.0 + tangent * tangent) / drive.max_steering_rate);
+}
+
+/* Curvature at the nodes. */
+static void set_curvature(Spline of, int64_t n, const double *s, double *curvature)
+{
+    int64_t piece = 0;
+    double rate = rate_of(of, 0);
+    for (int64_t i = 0; i < n - 1; i++) {
+        int64_t next = piece_at(of, s[i], piece);
+        rate = next > piece ? rate_of(of, next) : rate;
+        piece = next;
+        double along = s[i] - of.knots[piece];
+        curvature[i] = along == 0.0 ? of.curvature[piece] : rate * along + of.curvature[piece];
+    }
+    curvature[n - 1] = of.curvature[of.count - 1];
 }
 
 /* Set the limits of all cells between the nodes; zone_start: a node, or the length without a zone. Return the time
@@ -97,24 +117,17 @@ static double steering_slowness(Drive drive, double curvature, double rate)
 static double set_cells(Spline of, Drive drive, int64_t n, double zone_start, double zone_speed, Columns out)
 {
     int64_t cells = n - 1, piece = 0;
-    double time = 0.0;
-    for (int64_t i = 0; i < n; i++) {
-        piece = piece_at(of, out.s[i], piece);
-        int64_t is_last = out.s[i] >= of.knots[of.count - 1];
-        double along = out.s[i] - of.knots[piece];
-        out.curvature[i] = is_last        ? of.curvature[of.count - 1]
-                           : along == 0.0 ? of.curvature[piece]
-                                          : rate_of(of, piece) * along + of.curvature[piece];
-    }
-    piece = 0;
+    double time = 0.0, rate = rate_of(of, 0), in_zone = 1.0 / zone_speed, before = slowness_at(drive, out.curvature[0]);
     for (int64_t i = 0; i < cells; i++) {
         double first = out.curvature[i], last = out.curvature[i + 1], step = out.s[i + 1] - out.s[i];
-        piece = piece_at(of, out.s[i], piece);
-        double rate = rate_of(of, piece), next = rate_of(of, piece_at(of, out.s[i + 1] - 1e-7 * step, piece));
+        int64_t here = piece_at(of, out.s[i], piece), there = piece_at(of, out.s[i + 1] - 1e-7 * step, here);
+        rate = here > piece ? rate_of(of, here) : rate;
+        piece = here;
         int crosses = first * last < 0.0; /* the steering rate of a cell is largest at zero curvature */
-        double left = most(slowness_at(drive, first), steering_slowness(drive, crosses ? 0.0 : first, rate));
-        double right = most(slowness_at(drive, last), steering_slowness(drive, crosses ? 0.0 : last, next));
-        double slow = out.s[i] >= zone_start ? 1.0 / zone_speed : 0.0, begins[3] = {first, rate, most(left, slow)};
+        double next = there > here ? rate_of(of, there) : rate, after = slowness_at(drive, last);
+        double left = with_steering(drive, before, crosses ? 0.0 : first, rate);
+        double right = with_steering(drive, after, crosses ? 0.0 : last, next);
+        double slow = out.s[i] >= zone_start ? in_zone : 0.0, begins[3] = {first, rate, most(left, slow)};
         double ends[3] = {last, next, most(right, slow)};
         for (int64_t j = 0; j < 3; j++) {
             out.left[j * cells + i] = begins[j];
@@ -125,7 +138,9 @@ static double set_cells(Spline of, Drive drive, int64_t n, double zone_start, do
         out.slowness_right[i] = right;
         out.steepest[i] = most(fabs(rate), fabs(next));
         out.slowest[i] = most(begins[2], ends[2]);
-        time += step * most(out.slowest[i], sqrt(out.steepest[i] * (1.0 / drive.max_yaw_acceleration)));
+        double turning = drive.per_yaw_acceleration > 0.0 ? sqrt(out.steepest[i] * drive.per_yaw_acceleration) : 0.0;
+        time += step * most(out.slowest[i], turning);
+        before = after;
     }
     return time;
 }
@@ -133,7 +148,8 @@ static double set_cells(Spline of, Drive drive, int64_t n, double zone_start, do
 /* Compute the limits along a clothoid spline with count >= 2 knots.
  *
  *   sizes      knots, most nodes
- *   numbers    largest distance of nodes [m], start of the zone in [0, length] [m], speed in it [m/s], see `Drive`
+ *   numbers    largest distance of nodes [m], start of the zone in [0, length] [m], speed in it [m/s], limits of the
+ *              drive
  *   knots      (count,), and their curvature (count,)
  *   table      out, see `PathLimits`, of 13 most + count - 8 numbers, of which the last are work
  *
@@ -146,14 +162,15 @@ int64_t optdock_path_limits(int64_t count, int64_t room, double spacing, double 
     if (count < 2 || room < 2)
         return -1;
     Spline of = {knots, curvature, count};
-    Drive drive = {max_speed,   max_yaw_rate,      max_lateral_acceleration, max_wheel_speed,
-                   track_width, max_steering_rate, wheelbase,                max_yaw_acceleration};
+    Drive drive = {1.0 / max_speed, 1.0 / max_yaw_rate, 1.0 / max_lateral_acceleration, max_wheel_speed,
+                   track_width,     max_steering_rate,  wheelbase,                      1.0 / max_yaw_acceleration};
     int64_t n = set_nodes(of, spacing, zone_start, room, table + 13 * room - 9, table), cells = n - 1;
     if (n < 0)
         return -1;
     double *left = table + n, *bend = left + 6 * cells, *next = bend + n, *end = next + 5 * cells;
     Columns out = {table,        left,             left + 3 * cells, bend, next, next + cells,
                    next + 2 * cells, next + 3 * cells, next + 4 * cells};
+    set_curvature(of, n, table, bend);
     end[0] = nearest_node(n, table, zone_start);
     end[1] = set_cells(of, drive, n, end[0], zone_speed, out);
     return n;
