@@ -105,8 +105,8 @@ class Iterate(NamedTuple):
     ended: bool = False  # whether the method has ended
 
 
-def solve(program: Program, iterate: Iterate, look: Callable[[], None]) -> tuple[FloatArray, int]:
-    """Return coefficients that nearly minimize the program, and the number of iterations.
+def solve(program: Program, iterate: Iterate, look: Callable[[], None]) -> Iterate:
+    """Return the last iterate, whose coefficients nearly minimize the program.
 
     Args:
         program: The program.
@@ -116,7 +116,7 @@ def solve(program: Program, iterate: Iterate, look: Callable[[], None]) -> tuple
     while not iterate.ended:
         look()
         iterate = advanced(program, iterate, iterations_at_once(program.m))
-    return iterate.state[: program.m + 2], iterate.iteration
+    return iterate
 
 
 def iterations_at_once(m: int) -> int:

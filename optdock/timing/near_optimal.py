@@ -175,7 +175,7 @@ def reference_motion(
     if reference is None:
         return None
     if bounds.smooth:
-        cells = spline_phases(*reference.states)
+        cells = spline_phases(*reference.table[:3])
         return ReferenceMotion(reference.launch.phases + cells + reference.stop.phases)
     moves = split_into_moves(reference, bounds, start, deadline)
     return ReferenceMotion(tuple([phase for one in moves for phase in one.phases]), tuple(moves))

@@ -69,6 +69,7 @@ __all__ = [
     "solve_reference",
     "spline_of",
     "spline_phases",
+    "states_of",
 ]
 
 
@@ -230,6 +231,7 @@ class Prepared(NamedTuple):
     curve: FloatArray | None = None  # stencil of x'', Shape (3, M)
     program: Program | None = None
     iterate: Iterate | None = None  # after the first iterations
+    table: FloatArray | None = None  # its result of `states_of`, Shape (5, M + 1)
 
 
 _KERNEL = Kernel("optdock_reference_program", sizes=6, numbers=16)
@@ -247,7 +249,7 @@ def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
     parts, variables = 3 * (linear + 2 * curved), 2 * linear + 3 * curved + 1
     room = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE))
     while True:
-        size = 2 * n + rows + 23 + (rows + 7 + parts + variables) * room
+        size = 2 * n + rows + 28 + (rows + 12 + parts + variables) * room
         work = max(2 * n + 34 * room + 7 * jumps + 32, (5 * linear + 8 * curved + 17) * room + 4)
         found = np.empty(size)
         m = _KERNEL(
@@ -275,15 +277,17 @@ def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
         return Prepared(profile, launch, stop)
     knots = 10 + 2 * n
     cells = knots + rows * (m + 1)
-    curve = cells + 4 * m
+    table = cells + 4 * m
+    curve = table + 5 * (m + 1)
     state = curve + 3 * m
     data = state + variables * m + 4
-    row, cell = found[knots:cells].reshape(rows, m + 1), found[cells:curve].reshape(4, m)
+    row, cell = found[knots:cells].reshape(rows, m + 1), found[cells:table].reshape(4, m)
     at_zone = zone_knot(limits, row[0])
     grid = Grid(row[0], cell[0], row[1], row[2], row[3:5], tuple(row[6:]), cell[1], cell[2:], at_zone, row[5])
     program = Program(found[data : data + parts * m + 9], m, linear, curved)
     iterate = Iterate(found[state:data], int(count), bool(found[data - 1]) or count == MOST_ITERATIONS)
-    return Prepared(profile, launch, stop, grid, found[curve:state].reshape(3, m), program, iterate)
+    states = found[table:curve].reshape(5, m + 1)
+    return Prepared(profile, launch, stop, grid, found[curve:state].reshape(3, m), program, iterate, states)
 
 
 @twin_of(_prepared_native)
@@ -296,7 +300,8 @@ def prepared(bounds: ReferenceBounds, start: MotionState) -> Prepared:
     grid = grid_of(bounds, profile, launch.state, stop.state)
     program, first, curve = program_on(bounds, profile, grid, launch.state, stop.state)
     iterate = advanced(program, Iterate(first), iterations_at_once(program.m))
-    return Prepared(profile, launch, stop, grid, curve, program, iterate)
+    table = states_of(bounds, grid, (launch, stop), curve, iterate.state[: program.m + 2])
+    return Prepared(profile, launch, stop, grid, curve, program, iterate, table)
 
 
 def program_on(
@@ -319,9 +324,7 @@ def _price(bounds: ReferenceBounds) -> float:
 class ReferenceStates(NamedTuple):
     """States at the knots of the spline, and the arcs on both sides of it."""
 
-    states: FloatArray  # distance [m], speed [m/s] and acceleration [m/s^2], Shape (3, M + 1)
-    curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
-    durations: FloatArray  # of the cells, in which the acceleration is linear in s, Shape (M,) [s]
+    table: FloatArray  # result of `states_of`, Shape (5, M + 1)
     grid: Grid  # the knots
     launch: Arc  # arc before the spline, possibly without phases
     stop: Arc  # arc after the spline
@@ -339,25 +342,51 @@ def solve_reference(
         OutOfTime: If the deadline passed.
     """
     deadline.look()
-    limits = bounds.limits
-    profile, launch, stop, grid, curve, program, iterate = prepared(bounds, start)
-    if grid is None or curve is None or program is None or iterate is None:
+    profile, launch, stop, grid, curve, program, iterate, table = prepared(bounds, start)
+    if grid is None or curve is None or program is None or iterate is None or table is None:
         return None
-    first, last = launch.state, stop.state
-    c, iterations = solve(program, iterate, deadline.look)
+    if not iterate.ended:
+        iterate = solve(program, iterate, deadline.look)
+        table = states_of(bounds, grid, (launch, stop), curve, iterate.state[: program.m + 2])
+    longest = _HOPELESS * max(bounds.limits.duration_estimate, float(profile.time[-1]))
+    if not float(table[3, :-1].sum()) <= longest:
+        return None
+    return ReferenceStates(table, grid, launch, stop, iterate.iteration)
+
+
+def states_of(
+    bounds: ReferenceBounds, grid: Grid, arcs: tuple[Arc, Arc], curve: FloatArray, c: FloatArray
+) -> FloatArray:
+    """Return the states at the knots, and the duration and the jerk of the cells behind them. Shape (5, M + 1).
+
+    The acceleration is linear in s in a cell. The stop arc is behind the last knot.
+
+    Args:
+        bounds: Bounds of the reference.
+        grid: The knots.
+        arcs: Arcs before and after the spline.
+        curve: Stencil of x'', Shape (3, M).
+        c: Coefficients, Shape (M + 2,).
+
+    Returns:
+        Rows: distance [m], speed [m/s], acceleration [m/s^2], duration [s], largest |jerk|, infinite in the arc
+        [m/s^3].
+    """
+    drive, (launch, stop) = bounds.limits.drive, arcs
     padded = np.concatenate((grid.steps[:1], grid.steps, grid.steps[-1:]))
     before = padded[:-1]
     both = before + padded[1:]
     share, slope = before / both, 1.0 / both
-    x, a = (1.0 - share) * c[:-1] + share * c[1:], slope * c[1:] - slope * c[:-1]
-    a = np.minimum(np.maximum(a, -limits.drive.max_deceleration), limits.drive.max_acceleration)
-    states = np.array((grid.knots, np.sqrt(np.maximum(x, 1e-12)), a))
-    states[1:, 0], states[1:, -1] = first[1:], last[1:]
-    durations = 2.0 * grid.steps / (states[1, :-1] + states[1, 1:])
-    longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
-    if not float(durations.sum()) <= longest:
-        return None
-    return ReferenceStates(states, applied(curve, c), durations, grid, launch, stop, iterations)
+    table = np.empty((5, grid.knots.size))
+    table[0] = grid.knots
+    table[1] = np.sqrt(np.maximum((1.0 - share) * c[:-1] + share * c[1:], 1e-12))
+    table[2] = np.minimum(np.maximum(slope * c[1:] - slope * c[:-1], -drive.max_deceleration), drive.max_acceleration)
+    table[1:3, 0], table[1:3, -1] = launch.state[1:], stop.state[1:]
+    v = table[1]
+    table[3, :-1] = 2.0 * grid.steps / (v[:-1] + v[1:])
+    table[4, :-1] = 0.5 * np.abs(applied(curve, c)) * np.maximum(v[:-1], v[1:])
+    table[3:, -1] = stop.phases[0][0], np.inf
+    return table
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:

@@ -704,6 +704,32 @@ static Sizes sizes_of(Counts n, const Case *set, const Tuning *tuned, const Prof
     return (Sizes){m, n.limits, curved, n.nodes, count + 1, half < (double)count ? (int64_t)half + 1 : count + 1};
 }
 
+/* Set states, durations and jerks (5, m + 1) from the coefficients c; see `states_of`. right: weights of c_{i+1} at the
+ * knots, curve: stencil of x''. */
+static void set_states(int64_t m, const Case *set, State first, State last, double stopped, const double *knots,
+                       const double *steps, const double *right, const double *curve, const double *c, double *table)
+{
+    int64_t k = m + 1;
+    double *v = table + k, *a = v + k, *times = a + k, *jerks = times + k;
+    for (int64_t i = 0; i < k; i++) {
+        double slope = 1.0 / (steps[i == 0 ? 0 : i - 1] + steps[i == m ? m - 1 : i]);
+        table[i] = knots[i];
+        v[i] = sqrt(most((1.0 - right[i]) * c[i] + right[i] * c[i + 1], 1e-12));
+        a[i] = least(most(slope * c[i + 1] - slope * c[i], -set->deceleration), set->acceleration);
+    }
+    v[0] = first.v;
+    a[0] = first.a;
+    v[m] = last.v;
+    a[m] = last.a;
+    for (int64_t i = 0; i < m; i++) {
+        double bend = curve[i] * c[i] + curve[m + i] * c[i + 1] + curve[2 * m + i] * c[i + 2];
+        times[i] = 2.0 * steps[i] / (v[i] + v[i + 1]);
+        jerks[i] = 0.5 * fabs(bend) * most(v[i], v[i + 1]);
+    }
+    times[m] = stopped;
+    jerks[m] = INFINITY;
+}
+
 /* Make the reference program of a segment with nodes >= 2 and at most two turning limits, and its first iterations.
  *
  *   sizes      nodes, turning limits, jumps, most cells and samples, most iterations, most cells times iterations
@@ -717,6 +743,7 @@ static Sizes sizes_of(Counts n, const Case *set, const Tuning *tuned, const Prof
  *              iterations;
  *              profile (2, nodes): v^2 and time;
  *              knots (6 + limits, m + 1) and cells (4, m), see `set_limits`;
+ *              states, durations and jerks (5, m + 1), see `states_of`;
  *              x'' (3, m) as a stencil, and the state of `optdock_interior_point`;
  *              program: steps (m,), linear (3, 3 + 4 of order 1, m), with speed (3, 2 + 4 of order 2, m), places (3, 4
  *              of order 2, m), right shares (m + 1,), bands (4, m + 2)
@@ -777,7 +804,8 @@ int64_t optdock_reference_program(
     int64_t m = set_knots(n, &of, &set, &tuned, &profile, breaks, count, taken, parts, knots);
     if (m > room)
         return -m;
-    double *cells = knots + (6 + limits) * (m + 1), *curve = cells + 4 * m, *state = curve + 3 * m;
+    double *cells = knots + (6 + limits) * (m + 1), *table = cells + 4 * m;
+    double *curve = table + 5 * (m + 1), *state = curve + 3 * m;
     set_limits(n, &of, &profile, places, large, m, knots, cells);
     Settings settings = {tuned.drive_share * acceleration, tuned.drive_share * deceleration,
                          jerk,    price,             total,   tuned.guess_share, tuned.guess_blend,
@@ -793,5 +821,7 @@ int64_t optdock_reference_program(
     ends[9] = (double)optdock_interior_point(m, linear, curved, 0, possible < iterations ? possible : iterations, g[0],
                                              g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8], g[9], g[10], g[11],
                                              program, state, work);
+    set_states(m, &set, first, last, ends[5], knots, cells, program + (1 + 3 * linear + 6 * curved - 6) * m, curve, state,
+               table);
     return m;
 }

@@ -193,11 +193,8 @@ def split_into_moves(
 
 def _nodes_of(reference: ReferenceStates, start: _State, length: float) -> _Nodes:
     """Return the nodes of a reference between the start and the end of a segment, which is at rest."""
-    table, durations = reference.states, reference.durations
-    jerk = 0.5 * np.abs(reference.curve) * np.maximum(table[1, :-1], table[1, 1:])
-    (s, v, a), (times, jerks), zone = table.tolist(), np.array((durations, jerk)).tolist(), reference.grid.zone
+    (s, v, a, times, jerks), zone = reference.table.tolist(), reference.grid.zone
     states, v, a = [*zip(s, v, a, strict=True), (length, 0.0, 0.0)], [*v, 0.0], [*a, 0.0]
-    times, jerks = [*times, reference.stop.phases[0][0]], [*jerks, math.inf]
     if reference.launch.phases:
         states, v, a = [start, *states], [start[1], *v], [start[2], *a]
         times, jerks, zone = [reference.launch.phases[0][0], *times], [math.inf, *jerks], zone + 1 if zone else 0
