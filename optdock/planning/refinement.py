@@ -141,19 +141,21 @@ class Refinement:
     longest_wait: float = 0.0
 
     def __post_init__(self) -> None:
+        self._most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
+        self._least = min(_RESERVED_LEAST * self.budget, _RESERVED_RANGE[1])
+        self._pace = self._expected_pace()
         self.reserve = self.reserved(1, 0.0)
 
     def reserved(self, gears: int, length: float) -> float:
         """Return the time [s] reserved for timing a path of this many gears and this length [m], and for the proof."""
-        return max(min(_RESERVED_LEAST * self.budget, _RESERVED_RANGE[1]), self._expected(gears, length))
+        return max(self._least, min(self._pace * _predicted(gears, length), self._most))
 
-    def _expected(self, gears: int, length: float) -> float:
-        """Return the expected time [s] of a timing and its proof; a counted time does not depend on earlier calls."""
-        pace, measured = _COUNTED_PACE, _PACES.get(type(self.timing), ())
-        if clock_name() != "counted":
-            pace = sorted(measured)[3 * (len(measured) - 1) // 4] if measured else 1.0
-        most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
-        return min(pace * _predicted(gears, length), most)
+    def _expected_pace(self) -> float:
+        """Return the expected pace of a timing; that of a counted clock does not depend on earlier calls."""
+        if clock_name() == "counted":
+            return _COUNTED_PACE
+        measured = _PACES.get(type(self.timing), ())
+        return sorted(measured)[3 * (len(measured) - 1) // 4] if measured else 1.0
 
     def timed(self, stage: str) -> StageTimer:
         """Return a context that adds its duration to the time of `stage`."""
@@ -351,7 +353,8 @@ class Refinement:
 
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
-        if allowance <= _HOPELESS * self._expected(len(path.segments), path.length):
+        predicted = _predicted(len(path.segments), path.length)
+        if allowance <= _HOPELESS * min(self._pace * predicted, self._most):
             raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
@@ -371,9 +374,10 @@ class Refinement:
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")
-        pace = watch.read()[1] / _predicted(len(path.segments), path.length)
+        pace = watch.read()[1] / predicted
         pace *= _UNFINISHED if result.status is TimingStatus.TIMED_OUT else 1.0
         _PACES.setdefault(type(method), collections.deque(maxlen=_REMEMBERED)).append(pace)
+        self._pace = self._expected_pace()
         returned(result.report, TimingReport, method, "the report of its result")
         return result
 

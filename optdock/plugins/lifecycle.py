@@ -82,7 +82,7 @@ class PluginContext:
             (DockingProblem, self.problem, "problem"),
             (Costmap, self.local_costmap, "local_costmap"),
         ):
-            if value is not None:
+            if value is not None and type(value) is not kind:
                 instance(kind, value, f"context.{name}")
         problem, costmap = self.problem, self.costmap
         if problem is None:

@@ -269,9 +269,9 @@ def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
         room = -m
     if m < 0:
         raise ValueError("reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits")
-    launched, jerk, s, v, a, stopped, *last, count = found[:10].tolist()
-    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
-    stop = Arc(((stopped, bounds.jerk),), MotionState(*last))
+    launched, jerk, *first, stopped, s, v, a, count = found[:10].tolist()
+    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(*first))
+    stop = Arc(((stopped, bounds.jerk),), MotionState(s, v, a))
     profile = SpeedProfile(found[10 : 10 + n], found[10 + n : 10 + 2 * n])
     if m == 0:
         return Prepared(profile, launch, stop)

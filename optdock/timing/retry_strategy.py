@@ -260,7 +260,10 @@ def _undrivable(path: Path) -> str:
         if not math.isfinite(segment.step_curvature[first]) and turn != 0.0:
             where = f"by {turn:.6g} rad at s = {begin + float(segment.knots[first]):.6g} m"
             return f"path turns in place {where}; a turn in place must be a TurnSegment"
-    return "" if any(segment.length > NO_LENGTH for segment in path.segments) else "path has no length"
+    for segment in path.segments:
+        if segment.length > NO_LENGTH:
+            return ""
+    return "path has no length"
 
 
 def _driven(path: Path, request: _Request, plans: list[SegmentPlan]) -> Trajectory:
@@ -306,14 +309,15 @@ def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
     """Return the next plan whose status is not FAIL, or the last plan; TIMED_OUT if the time is up."""
-    last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method found a motion for this gear", arrives=False)
+    last: SegmentPlan | None = None
     try:
         for last in plans:
             if last.status is not TimingStatus.FAIL:
-                break
+                return last
     except OutOfTime:
         return SegmentPlan(TimingStatus.TIMED_OUT, how="none", reason="the time was up before a motion was found")
-    return last
+    nothing = "no method found a motion for this gear"
+    return last or SegmentPlan(TimingStatus.FAIL, how="none", reason=nothing, arrives=False)
 
 
 def segment_plans(
