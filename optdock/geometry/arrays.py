@@ -111,15 +111,10 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     Raises:
         InvalidValue: If the shape is wrong, or if an element is text, a bool, NaN or infinite.
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind == "O" and any(isinstance(one, str | bool) for one in given.ravel().tolist()):
-            raise TypeError(given.dtype)
-        if given.dtype.kind not in "iufO":
-            raise TypeError(given.dtype)
-        array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidValue(f"{name}: must be numbers, got {values!r}") from error
+    if type(values) is np.ndarray and values.dtype is _DOUBLE:
+        array: FloatArray = values
+    else:
+        array = _doubles(values, name)
     wanted = "(n,)" if columns is None else f"(n, {columns})"
     if array.ndim != (1 if columns is None else 2) or (columns is not None and array.shape[1] != columns):
         raise InvalidValue(f"{name}: must have shape {wanted}, got {array.shape}")
@@ -128,6 +123,19 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
         bad = np.argwhere(~is_finite)[0]
         raise InvalidValue(f"{name}: must be finite, got {array[tuple(bad)]} at index {bad.tolist()}")
     return readonly(array)
+
+
+def _doubles(values: ArrayLike, name: str) -> FloatArray:
+    """Return numbers as an array; see `frozen_array`."""
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind == "O" and any(isinstance(one, str | bool) for one in given.ravel().tolist()):
+            raise TypeError(given.dtype)
+        if given.dtype.kind not in "iufO":
+            raise TypeError(given.dtype)
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidValue(f"{name}: must be numbers, got {values!r}") from error
 
 
 def vector(values: ArrayLike) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -53,7 +52,7 @@ from optdock.verification import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from optdock.deadline import Deadline
     from optdock.model.problem import DockingProblem
@@ -76,7 +75,7 @@ PLAIN_TIMING = "Windowed"  # its motions need no repair
 # Time reserved for timing the path and proving the motion: least and largest share of the budget, the limits of the
 # latter [s], and the time [s] on the benchmark machine: once, per gear and per metre.
 _RESERVED_LEAST, _RESERVED_SHARE, _RESERVED_RANGE, _PREDICTED = 0.15, 0.3, (0.004, 0.03), (5e-4, 1e-3, 7e-5)
-_COUNTED_PACE = 2.4  # counted time, relative to that of the benchmark machine
+_COUNTED_PACE = 1.2  # counted time, relative to that of the benchmark machine; 0.5 to 0.7 in most easy plans
 _PROOF = 0.0003  # [s], reserved for the proof of the motion, most of which is made with the timing
 
 _T = TypeVar("_T")
@@ -100,6 +99,8 @@ class Cancellation:
     def __init__(self, checker: Callable[[], bool]) -> None:
         self._checker, self._cancelled = checker, False
         self.raised: BaseException | None = None
+        # What plugins poll: a caller who never cancels is not asked.
+        self.checker: Callable[[], bool] = never_cancelled if checker is never_cancelled else self
 
     def __call__(self) -> bool:
         """Whether the caller cancelled."""
@@ -140,19 +141,21 @@ class Refinement:
     longest_wait: float = 0.0
 
     def __post_init__(self) -> None:
+        self._most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
+        self._least = min(_RESERVED_LEAST * self.budget, _RESERVED_RANGE[1])
+        self._pace = self._expected_pace()
         self.reserve = self.reserved(1, 0.0)
 
     def reserved(self, gears: int, length: float) -> float:
         """Return the time [s] reserved for timing a path of this many gears and this length [m], and for the proof."""
-        return max(min(_RESERVED_LEAST * self.budget, _RESERVED_RANGE[1]), self._expected(gears, length))
+        return max(self._least, min(self._pace * _predicted(gears, length), self._most))
 
-    def _expected(self, gears: int, length: float) -> float:
-        """Return the expected time [s] of a timing and its proof; a counted time does not depend on earlier calls."""
-        pace, measured = _COUNTED_PACE, _PACES.get(type(self.timing), ())
-        if clock_name() != "counted":
-            pace = sorted(measured)[3 * (len(measured) - 1) // 4] if measured else 1.0
-        most = min(max(_RESERVED_SHARE * self.budget, _RESERVED_RANGE[0]), _RESERVED_RANGE[1])
-        return min(pace * _predicted(gears, length), most)
+    def _expected_pace(self) -> float:
+        """Return the expected pace of a timing; that of a counted clock does not depend on earlier calls."""
+        if clock_name() == "counted":
+            return _COUNTED_PACE
+        measured = _PACES.get(type(self.timing), ())
+        return sorted(measured)[3 * (len(measured) - 1) // 4] if measured else 1.0
 
     def timed(self, stage: str) -> StageTimer:
         """Return a context that adds its duration to the time of `stage`."""
@@ -293,7 +296,7 @@ class Refinement:
                         min(left - reserve, most),
                         problem=problem,
                         warm_start=earlier if begun is None else begun,
-                        cancel_checker=self.cancelled,
+                        cancel_checker=self.cancelled.checker,
                     )
                 except InvalidPath as error:
                     if is_given:
@@ -350,7 +353,8 @@ class Refinement:
 
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
-        if allowance <= _HOPELESS * self._expected(len(path.segments), path.length):
+        predicted = _predicted(len(path.segments), path.length)
+        if allowance <= _HOPELESS * min(self._pace * predicted, self._most):
             raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
@@ -365,14 +369,15 @@ class Refinement:
                 start_speed=speed,
                 start_acceleration=acceleration,
                 max_time=allowance,
-                cancel_checker=self.cancelled,
+                cancel_checker=self.cancelled.checker,
                 **waits,
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")
-        pace = watch.read()[1] / _predicted(len(path.segments), path.length)
+        pace = watch.read()[1] / predicted
         pace *= _UNFINISHED if result.status is TimingStatus.TIMED_OUT else 1.0
         _PACES.setdefault(type(method), collections.deque(maxlen=_REMEMBERED)).append(pace)
+        self._pace = self._expected_pace()
         returned(result.report, TimingReport, method, "the report of its result")
         return result
 
@@ -412,35 +417,55 @@ class StageTimer:
         work.timing_ms[self._stage] = work.timing_ms.get(self._stage, 0.0) + 1e3 * took
 
 
-@contextlib.contextmanager
-def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
-    """Configure a plugin for the problem; an error that is not in its interface is converted to a PluginError.
+def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> _AtWork:
+    """Return a context that configures a plugin for the problem and converts errors that are not in its interface.
 
-    Raises:
+    Raises on entry and exit:
         PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.
         LifecycleError: If the plugin is configured already.
     """
-    name = type(plugin).__name__
-    if plugin.state is not LifecycleState.UNCONFIGURED:
-        raise LifecycleError(f"{name} is {plugin.state.value}, must be unconfigured; plan_dock configures its plugins")
-    try:
-        plugin.configure(PluginContext(name=plugin.name, problem=problem))
+    return _AtWork(plugin, problem, cancelled)
+
+
+class _AtWork:
+    """See `at_work`."""
+
+    __slots__ = ("_cancelled", "_plugin", "_problem")
+
+    def __init__(self, plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> None:
+        self._plugin, self._problem, self._cancelled = plugin, problem, cancelled
+
+    def __enter__(self) -> None:
+        plugin, state = self._plugin, self._plugin.state
+        if state is not LifecycleState.UNCONFIGURED:
+            name = type(plugin).__name__
+            raise LifecycleError(f"{name} is {state.value}, must be unconfigured; plan_dock configures its plugins")
         try:
-            yield
-        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, because the problem is valid
-            raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-        finally:
-            plugin.cleanup()
-    except GeneratorExit:  # raised when the generator of guesses is closed
-        raise
-    except BaseException as error:
-        if cancelled.raised is not None:
-            raise cancelled.raised from None
-        if isinstance(error, OptdockError) or not isinstance(error, Exception):
+            plugin.configure(PluginContext(name=plugin.name, problem=self._problem))
+        except BaseException as error:
+            self._replace(error)
             raise
-        raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-    if cancelled.raised is not None:  # the plugin suppressed the cancellation
-        raise cancelled.raised
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        try:
+            self._plugin.cleanup()
+        except BaseException as later:
+            self._replace(later)
+            raise
+        if error is not None:
+            # The problem is valid, so that an invalid value is a fault of the plugin.
+            self._replace(error, is_fault=isinstance(error, InvalidValue | InvalidPath))
+        elif self._cancelled.raised is not None:  # the plugin suppressed the cancellation
+            raise self._cancelled.raised
+
+    def _replace(self, error: BaseException, *, is_fault: bool = False) -> None:
+        """Raise the error that replaces `error`, if there is one."""
+        if isinstance(error, GeneratorExit):  # raised when the generator of guesses is closed
+            return
+        if self._cancelled.raised is not None:
+            raise self._cancelled.raised from None
+        if isinstance(error, Exception) and (is_fault or not isinstance(error, OptdockError)):
+            raise PluginError(f"{type(self._plugin).__name__} failed: {type(error).__name__}: {error}") from error
 
 
 def sampled_bounds(

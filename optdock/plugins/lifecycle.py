@@ -82,20 +82,18 @@ class PluginContext:
             (DockingProblem, self.problem, "problem"),
             (Costmap, self.local_costmap, "local_costmap"),
         ):
-            if value is not None:
+            if value is not None and type(value) is not kind:
                 instance(kind, value, f"context.{name}")
-        if self.problem is None:
-            if self.costmap is None:
-                object.__setattr__(self, "costmap", self.local_costmap)
+        problem, costmap = self.problem, self.costmap
+        if problem is None:
+            if costmap is None and self.local_costmap is not None:
+                vars(self).update(costmap=self.local_costmap)
             return
-        outline = self.problem.robot.footprint
+        outline = problem.robot.footprint
         if self.footprint is not None and not np.array_equal(self.footprint.vertices, outline.vertices):
             raise InvalidValue("context.footprint: differs from context.problem.robot.footprint; give one of them")
-        object.__setattr__(self, "footprint", outline)
-        if self.costmap is not None:
-            object.__setattr__(self, "problem", self.problem.among(self.costmap))
-        else:
-            object.__setattr__(self, "costmap", self.problem.costmap)
+        problem, costmap = (problem, problem.costmap) if costmap is None else (problem.among(costmap), costmap)
+        vars(self).update(footprint=outline, problem=problem, costmap=costmap)
 
     def problem_at_hand(self, called_with: DockingProblem | None) -> DockingProblem | None:
         """Return the problem of a call with the obstacles of the context and of the local costmap, or None.
@@ -162,7 +160,7 @@ class Plugin(ABC):
 
     def __init__(self, /, **parameters: object) -> None:
         self.parameters = parse_parameters(self.Parameters, parameters, type(self).__name__)
-        self.context = PluginContext(name=type(self).__name__)
+        self.context = self._unconfigured = PluginContext(name=type(self).__name__)
         self._state = LifecycleState.UNCONFIGURED
 
     @property
@@ -208,8 +206,7 @@ class Plugin(ABC):
         """Release resources: inactive -> unconfigured."""
         self._require("cleanup", LifecycleState.INACTIVE)
         self.on_cleanup()
-        self.context = PluginContext(name=type(self).__name__)
-        self._state = LifecycleState.UNCONFIGURED
+        self.context, self._state = self._unconfigured, LifecycleState.UNCONFIGURED
 
     def shutdown(self) -> None:
         """Release resources: any state except finalized -> finalized."""
@@ -218,8 +215,7 @@ class Plugin(ABC):
             self.on_deactivate()
         if self._state is not LifecycleState.UNCONFIGURED:
             self.on_cleanup()
-        self.context = PluginContext(name=type(self).__name__)
-        self._state = LifecycleState.FINALIZED
+        self.context, self._state = self._unconfigured, LifecycleState.FINALIZED
 
     def set_parameters(self, /, **changes: object) -> None:
         """Change several parameters in one step.

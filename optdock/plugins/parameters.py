@@ -81,11 +81,14 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
         InvalidValue: If `values` is not a mapping, or contains unknown names, wrong types or values out of range; one
             line per fault.
     """
-    if not isinstance(values, Mapping):
+    if type(values) is not dict and not isinstance(values, Mapping):
         raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
     # Every plan constructs its plugins with the same values, so immutable parameters are validated only once.
-    is_plain = all(type(value) in _PLAIN for value in values.values())
-    key = (model, *((str(name), type(value), repr(value)) for name, value in values.items())) if is_plain else ()
+    key: tuple[object, ...] = (model,)
+    is_plain = True
+    if values:
+        is_plain = all(type(value) in _PLAIN for value in values.values())
+        key = (model, *((str(name), type(value), repr(value)) for name, value in values.items())) if is_plain else ()
     known = _CHECKED.get(key)
     if isinstance(known, model):
         return known

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.timing.path_limits import ReferenceBounds
 
-__all__ = ["SLOWEST", "SpeedProfile", "ceiling", "forward_backward_pass"]
+__all__ = ["SLOWEST", "SpeedProfile", "forward_backward_pass"]
 
 SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, because the speed at the ends is zero
 
@@ -24,21 +24,13 @@ class SpeedProfile(NamedTuple):
     time: FloatArray
 
 
-def ceiling(bounds: ReferenceBounds) -> FloatArray:
-    """Return the largest v^2 in each cell, with the turning limits as speed caps at a = 0. Shape (n - 1,) [m^2/s^2]."""
-    cell = bounds.speed_squared
-    for limit, most in zip(bounds.limits.turning, bounds.turning, strict=True):
-        cell = np.minimum(cell, limit.most_squared(most, np.maximum(bounds.limits.steepest, 1e-9)))
-    return cell
-
-
 def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
     """Return the largest v^2 under caps and acceleration limits; turning limits are applied as speed caps at a = 0.
 
     The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
     2 A. This function is computed by one sweep forward and one sweep backward [Bobrow1985].
     """
-    limits, drive, cell = bounds.limits, bounds.limits.drive, ceiling(bounds)
+    limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.ceiling
     x = np.minimum(np.concatenate((cell, [0.0])), np.concatenate(([start.v * start.v], cell)))
     rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
     x = np.minimum.accumulate(x - rise) + rise

@@ -30,11 +30,21 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Iterate", "Program", "advanced", "applied", "solve"]
+__all__ = [
+    "AT_ONCE",
+    "MOST_ITERATIONS",
+    "SETTINGS",
+    "Iterate",
+    "Program",
+    "advanced",
+    "applied",
+    "iterations_at_once",
+    "solve",
+]
 
 _LEAST_SHARE = 1e-6  # share of the cell's coefficient: lower bound of v^2 at a place, so that f stays below 1000
-_MOST_ITERATIONS = 40  # after these the last iterate is used, because any iterate is a motion
-_AT_ONCE = 1000  # cells times iterations between two polls of the deadline, 0.2 ms in C
+MOST_ITERATIONS = 40  # after these the last iterate is used, because any iterate is a motion
+AT_ONCE = 1000  # cells times iterations between two polls of the deadline, 0.2 ms in C
 _GAP = 1e-2  # duality gap relative to the objective; the margins of the reference are larger
 _RESIDUAL = 6e-3  # relative tolerance of every bound
 _FREEZE = 8  # iterations after which f is fixed, because further updates of f converge only linearly
@@ -86,99 +96,106 @@ class Program(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Iterate of a program with R rows, first those of A and then those of B.
+    """Iterate of a program with R rows, first those of A and then those of B."""
 
-    In iteration 0, all values except `c` are not used; the first iteration derives them from `c`.
-    """
-
-    c: FloatArray  # coefficients, Shape (M + 2,)
-    slack: FloatArray  # S, Shape (R, M)
-    dual: FloatArray  # Z, Shape (R, M)
-    share: FloatArray  # f, Shape (rows of B, M)
-    mu: float = 0.0  # target of S Z
+    # The coefficients, Shape (M + 2,), slack variables S and Z, Shape (R, M) each, f, Shape (rows of B, M), the target
+    # of S Z, and 1 if the method has converged or failed, one after the other. In iteration 0, only the coefficients.
+    state: FloatArray
     iteration: int = 0  # number of iterations so far
     ended: bool = False  # whether the method has ended
 
-    @classmethod
-    def of(cls, c: FloatArray) -> Iterate:
-        """Return the first iterate for the coefficients `c`, Shape (M + 2,)."""
-        return cls(c, c[:0], c[:0], c[:0])
 
-
-def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[FloatArray, int]:
-    """Return coefficients that nearly minimize the program, and the number of iterations.
+def solve(program: Program, iterate: Iterate, look: Callable[[], None]) -> Iterate:
+    """Return the last iterate, whose coefficients nearly minimize the program.
 
     Args:
         program: The program.
-        c: First iterate, positive, with the given values of the two coefficients at each end, Shape (M + 2,).
-        look: Called as often as there are iterations; it may raise.
+        iterate: An iterate; the first one has positive coefficients, with the given values of the two at each end.
+        look: Called before every `iterations_at_once` iterations; it may raise.
     """
-    iterate = Iterate.of(c)
-    most = max(1, _AT_ONCE // program.m)
     while not iterate.ended:
-        found = advanced(program, iterate, most)
-        for _ in range(found.iteration - iterate.iteration):
-            look()
-        iterate = found
-    return iterate.c, iterate.iteration
+        look()
+        iterate = advanced(program, iterate, iterations_at_once(program.m))
+    return iterate
+
+
+def iterations_at_once(m: int) -> int:
+    """Return the number of iterations of a program with m cells between two polls of the deadline."""
+    return max(1, AT_ONCE // m)
 
 
 _KERNEL = Kernel("optdock_interior_point", sizes=5, numbers=12)
-_SETTINGS = (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP)
+# For the kernels, in the order of `Settings` there.
+SETTINGS = (_LEAST_SHARE, _GAP, _RESIDUAL, _TO_BOUNDARY, _LARGEST_DECREASE, *_CENTERING, _SMALLEST_SLACK, _FIRST_GAP)
 assert _FREEZE == 8  # a constant of the kernel
 
 
 def _advanced_native(program: Program, iterate: Iterate, most: int) -> Iterate:
-    m, linear, curved = program.m, program.linear, program.curved
-    size, before = (linear + curved) * m, iterate.iteration
-    later = 2 * size + curved * m + 2
-    more = [part.ravel() for part in iterate[1:4]] + [[iterate.mu, iterate.ended]] if before else [np.zeros(later)]
-    state, work = np.concatenate([iterate.c, *more]), (5 * linear + 8 * curved + 17) * m + 4
-    count = _KERNEL(
-        (m, linear, curved, before, min(most, _MOST_ITERATIONS - before)),
-        _SETTINGS,
+    m, linear, curved, before = program.m, program.linear, program.curved, iterate.iteration
+    size, work = (2 * linear + 3 * curved + 1) * m + 4, (5 * linear + 8 * curved + 17) * m + 4
+    state = np.zeros(size)
+    state[: iterate.state.size] = iterate.state
+    count = before + _KERNEL(
+        (m, linear, curved, before, min(most, MOST_ITERATIONS - before)),
+        SETTINGS,
         (
             (program.data, 6 * m + 9 + 3 * (linear + 2 * curved - 2) * m),
-            (state, m + 2 + later),
+            (state, size),
             (np.empty(work), work),
         ),
     )
-    if count < 0:
+    if count < before:
         raise ValueError("program: must have at least 4 cells and 2 rows with speed")
-    slack, dual = state[m + 2 : m + 2 + 2 * size].reshape(2, -1, m)
-    share, (mu, ended) = state[m + 2 + 2 * size : -2].reshape(-1, m), state[-2:].tolist()
-    return Iterate(
-        state[: m + 2], slack, dual, share, mu, before + count, bool(ended) or before + count == _MOST_ITERATIONS
-    )
+    return Iterate(state, count, bool(state[-1]) or count == MOST_ITERATIONS)
 
 
 @twin_of(_advanced_native)
 def advanced(program: Program, iterate: Iterate, most: int) -> Iterate:
     """Return the iterate after at most `most` iterations of the program."""
-    if iterate.iteration == 0:
-        iterate = _completed(program, iterate.c)
-    for _ in range(most):
-        if iterate.ended:
-            break
-        iterate = _next_iterate(program, iterate)
-    return iterate
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
+        variables = _first(program, iterate.state) if iterate.iteration == 0 else _unpacked(program, iterate.state)
+        iteration = iterate.iteration
+        last = min(iteration + most, MOST_ITERATIONS)
+        while iteration < last and not variables.ended:
+            iteration += 1
+            variables = _next(program, variables, iteration)
+    parts = [part.ravel() for part in variables[:4]]
+    state = np.concatenate((*parts, (variables.mu, variables.ended)))
+    return Iterate(state, iteration, variables.ended or iteration == MOST_ITERATIONS)
 
 
-def _completed(program: Program, c: FloatArray) -> Iterate:
+class _Variables(NamedTuple):
+    """Parts of the state of an iterate."""
+
+    c: FloatArray  # coefficients, Shape (M + 2,)
+    slack: FloatArray  # S, Shape (R, M)
+    dual: FloatArray  # Z, Shape (R, M)
+    share: FloatArray  # f, Shape (rows of B, M)
+    mu: float  # target of S Z
+    ended: bool  # whether the method has converged or failed
+
+
+def _unpacked(program: Program, state: FloatArray) -> _Variables:
+    m, rows = program.m, program.linear + program.curved
+    slack, dual = state[m + 2 : m + 2 + 2 * rows * m].reshape(2, rows, m)
+    mu, ended = state[-2:].tolist()
+    return _Variables(state[: m + 2], slack, dual, state[m + 2 + 2 * rows * m : -2].reshape(-1, m), mu, bool(ended))
+
+
+def _first(program: Program, c: FloatArray) -> _Variables:
     share = _shares(program, c)
     slack = np.maximum(-_values(program, c, share), _SMALLEST_SLACK)
     mu = _FIRST_GAP * _objective(program, c) / slack.size
-    return Iterate(c, slack, mu / slack, share, mu)
+    return _Variables(c, slack, mu / slack, share, mu, ended=False)
 
 
-def _next_iterate(program: Program, iterate: Iterate) -> Iterate:
-    c, slack, dual, share, mu, iteration, _ended = iterate
-    iteration += 1
+def _next(program: Program, variables: _Variables, iteration: int) -> _Variables:
+    c, slack, dual, share, mu, _ended = variables
     stencil, value = _stencils(program, c, share), _values(program, c, share)
     primal, weight = value + slack, dual / slack
     change = _newton_change(program, c, stencil, weight, mu / slack + weight * primal)
     if not np.isfinite(change).all():  # no spline satisfies the limits; the last iterate is still a motion
-        return iterate._replace(iteration=iteration, ended=True)
+        return variables._replace(ended=True)
     slack_change = -primal - applied(stencil, change)
     dual_change = mu / slack - dual - weight * slack_change
     step = min(
@@ -194,7 +211,7 @@ def _next_iterate(program: Program, iterate: Iterate) -> Iterate:
     ended = gap < _GAP * _objective(program, c) and residual < _RESIDUAL
     if not ended:
         mu = _centering(min(step, dual_step)) * gap / slack.size
-    return Iterate(c, slack, dual, share, mu, iteration, ended or iteration == _MOST_ITERATIONS)
+    return _Variables(c, slack, dual, share, mu, ended)
 
 
 def _centering(step: float) -> float:

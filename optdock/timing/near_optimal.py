@@ -175,7 +175,7 @@ def reference_motion(
     if reference is None:
         return None
     if bounds.smooth:
-        cells = spline_phases(reference.s, reference.v, reference.a)
+        cells = spline_phases(*reference.table[:3])
         return ReferenceMotion(reference.launch.phases + cells + reference.stop.phases)
     moves = split_into_moves(reference, bounds, start, deadline)
     return ReferenceMotion(tuple([phase for one in moves for phase in one.phases]), tuple(moves))
@@ -198,10 +198,10 @@ def _references(
         found = reference_motion(ReferenceBounds(limits, *options, tightenings), start, deadline)
         if found is None:
             return
-        motion = Motion.of(start, found.phases)
         if found.sound:
-            yield from _if_ok(arrived_plan(limits, motion, how))
+            yield from _if_ok(arrived_plan(limits, start, found.phases, how))
         deadline.look()
+        motion = Motion.of(start, found.phases)
         tried.append(_Tried(found, worst_ratio(limits, motion)))
         yield from _repaired(limits, motion, tried[-1], how)
         tightenings += _tightened(tried[-1])

@@ -17,13 +17,13 @@ Speeds are stored as their reciprocals, `slowness`: the largest reciprocal is th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.kernels import Kernel, twin_of
 from optdock.model.limits import LIMITS
 from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, place_before_end
 from optdock.timing.jerk_phases import DriveBounds
@@ -31,6 +31,7 @@ from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.clothoid import ClothoidSpline
     from optdock.model.limits import MotionLimits, SpeedZone
     from optdock.model.path import Path, Segment
 
@@ -45,6 +46,7 @@ __all__ = [
     "SpeedCaps",
     "Tightening",
     "limits_along",
+    "limits_table",
     "segment_limits",
 ]
 
@@ -76,21 +78,22 @@ class LimitPoints(NamedTuple):
     slowness: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class SpeedCaps:
-    """Speed caps as a function of curvature, as their reciprocals; `direction` is the gear."""
+    """Speed caps as a function of curvature, as their reciprocals; `direction` is the gear.
+
+    Attributes:
+        max_speed: Speed limit of the gear [m/s].
+        steering: Whether the steering rate is limited, so that the curvature rate caps the speed.
+    """
 
     drive: MotionLimits
     direction: Direction
-    max_speed: float = field(init=False)  # speed limit of the gear [m/s]
-    steering: bool = field(
-        init=False
-    )  # whether the steering rate is limited, so that the curvature rate caps the speed
 
     def __post_init__(self) -> None:
         drive = self.drive
-        top = drive.max_speed if self.direction > 0 else drive.max_reverse_speed
-        vars(self).update(max_speed=top, steering=math.isfinite(drive.max_steering_rate))
+        self.max_speed = drive.max_speed if self.direction > 0 else drive.max_reverse_speed
+        self.steering = drive.max_steering_rate < math.inf
 
     def slowness(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
         """Return the reciprocal of the lowest speed cap at |curvature| + excess, without the steering cap. Shape (n,).
@@ -131,10 +134,20 @@ class PathLimits:
 
     Attributes:
         drive: Limits of the drive.
+        s: Nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start.
+        left: Curvature [1/m], curvature rate [1/m^2] and slowness with the zone [s/m] just to the right of every cell's
+            left node, Shape (3, n - 1).
+        slope: Their derivatives in the cell, Shape (3, n - 1).
+        curvature: Curvature at the nodes, Shape (n,) [1/m].
+        rate_left: d curvature / ds just to the right of every cell's left node, Shape (n - 1,) [1/m^2].
+        rate_right: The same just to the left of every cell's right node, Shape (n - 1,) [1/m^2].
         slowness_left: 1 / speed cap just to the right of every cell's left node, without the zone, Shape (n - 1,)
-        [s/m].
+            [s/m].
         slowness_right: The same just to the left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
+        slowest: The larger slowness of every cell, with the zone, Shape (n - 1,) [s/m].
+        zone_start: Start of the speed zone, exactly a node; `length` if there is no zone [m].
+        has_zone: Whether the speed zone begins in this segment.
         turning: Turning limits of the drive.
         turning_rows: Number of linear rows, and of rows with the speed, of the reference program.
         turning_numbers: Orders and bounds of two turning limits, for kernels.
@@ -143,36 +156,32 @@ class PathLimits:
             rest under only the acceleration limit, and from rest to rest under only the jerk limit.
     """
 
-    s: FloatArray  # nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start
-    curvature: FloatArray  # at the nodes, Shape (n,) [1/m]
-    rate_left: FloatArray  # d curvature / ds just to the right of every cell's left node, Shape (n - 1,) [1/m^2]
-    rate_right: FloatArray  # the same just to the left of every cell's right node, Shape (n - 1,) [1/m^2]
+    table: FloatArray  # result of `limits_table`
     caps: SpeedCaps
-    zone_start: float  # start of the speed zone, exactly a node; `length` if there is no zone [m]
     zone_speed: float  # speed limit in the zone [m/s]
     excess: FloatArray | None = None  # addition to |curvature| at the nodes, for the caps, Shape (n,) [1/m]; None: zero
     begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
     def __post_init__(self) -> None:
-        self.drive = drive = self.caps.drive
-        slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
-        left, right = slowness[:-1], slowness[1:]
-        if self.caps.steering:
-            first, last = self.curvature[:-1], self.curvature[1:]
-            crosses = first * last < 0.0  # the steering rate of a cell is largest at zero curvature
-            left = np.maximum(left, self.caps.steering_slowness(np.where(crosses, 0.0, first), self.rate_left))
-            right = np.maximum(right, self.caps.steering_slowness(np.where(crosses, 0.0, last), self.rate_right))
-        self.slowness_left, self.slowness_right = readonly(left), readonly(right)
-        self.steepest = readonly(np.maximum(np.abs(self.rate_left), np.abs(self.rate_right)))
-        self.turning = turning_limits(drive)
-        second = len([one for one in self.turning if one.order == 2])
-        self.turning_rows = 3 + 4 * (len(self.turning) - second), 2 + 4 * second
-        orders, bounds = [float(one.order) for one in self.turning], [one.bound for one in self.turning]
-        self.turning_numbers = (*orders, 0.0, 0.0)[:2] + (*bounds, math.inf, math.inf)[:2]
+        self.drive, table = self.caps.drive, self.table
+        n = (table.size + 9) // 13
+        left, bend, rates, cells = n, 7 * n - 6, 8 * n - 6, n - 1
+        self.s, self.curvature = table[:n], table[bend:rates]
+        self.left, self.slope = table[left:bend].reshape(2, 3, cells)
+        self.rate_left = self.left[1]
+        columns = table[rates:-2].reshape(5, cells)
+        self.rate_right, self.slowness_left, self.slowness_right, self.steepest, self.slowest = columns
+        self.zone_start, along_curve = table[-2:].tolist()
         self.length = length = float(self.s[-1])
-        along_curve = float(((self.s[1:] - self.s[:-1]) * self.maximum_velocity_curve()).sum())
-        by_drive = math.sqrt(2.0 * length * (1.0 / drive.max_acceleration + 1.0 / drive.max_deceleration))
-        by_jerk = math.exp(math.log(32.0 * length / drive.max_jerk) / 3.0)
+        self.has_zone = self.zone_start < length
+        self.turning = turning = turning_limits(self.drive)
+        linear, curved, orders, bounds = 3, 2, (0.0, 0.0), (math.inf, math.inf)
+        for limit in reversed(turning):
+            linear, curved = (linear + 4, curved) if limit.order == 1 else (linear, curved + 4)
+            orders, bounds = (float(limit.order), orders[0]), (limit.bound, bounds[0])
+        self.turning_rows, self.turning_numbers = (linear, curved), (*orders, *bounds)
+        by_drive = math.sqrt(2.0 * length * (1.0 / self.drive.max_acceleration + 1.0 / self.drive.max_deceleration))
+        by_jerk = math.exp(math.log(32.0 * length / self.drive.max_jerk) / 3.0)
         self.duration_estimate = max(along_curve, by_drive, by_jerk)
 
     @property
@@ -186,23 +195,12 @@ class PathLimits:
         """Largest speed cap [m/s]."""
         return 1.0 / min(float(self.slowness_left.min()), float(self.slowness_right.min()))
 
-    @property
-    def has_zone(self) -> bool:
-        """Whether the speed zone begins in this segment."""
-        return self.zone_start < self.length
-
     def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
         """Return the slowness of the maximum velocity curve, with the speed zone, per cell. Shape (n - 1,) [s/m].
 
         The curvature rate may use `turning_share` of the turning limits.
         """
-        slowness = np.maximum(self.slowness_left, self.slowness_right)
-        if self.has_zone:
-            slow = self.s[1:] > self.zone_start + 1e-12
-            slowness = np.where(slow, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
-        for limit in self.turning:
-            slowness = np.maximum(slowness, limit.slowness(self.steepest, turning_share))
-        return slowness
+        return _slowest_with(self.turning, self.slowest, self.steepest, turning_share)
 
     def cells_at(self, s: FloatArray) -> IntArray:
         """Return the index of the cell of each point, Shape (n,)."""
@@ -248,32 +246,27 @@ class PathLimits:
         point = self.points_at(np.array([start]))
         keep = slice(cell + 1, None)
         zone_start = self.zone_start - start if self.zone_start > self.s[cell] else 0.0
+        nodes = np.concatenate(([0.0], self.s[keep] - start)), np.concatenate((point.curvature, self.curvature[keep]))
+        rates = np.concatenate((point.rate, self.rate_left[keep])), self.rate_right[cell:]
+        excess = None if self.excess is None else np.append(np.interp(start, self.s, self.excess), self.excess[keep])
+        zone = max(0.0, zone_start), self.zone_speed
         return PathLimits(
-            s=readonly(np.concatenate(([0.0], self.s[keep] - start))),
-            curvature=readonly(np.concatenate((point.curvature, self.curvature[keep]))),
-            rate_left=readonly(np.concatenate((point.rate, self.rate_left[keep]))),
-            rate_right=self.rate_right[cell:],
-            caps=self.caps,
-            zone_start=max(0.0, zone_start),
-            zone_speed=self.zone_speed,
-            excess=None if self.excess is None else np.append(np.interp(start, self.s, self.excess), self.excess[keep]),
-            begin=self.begin + start,
+            limits_table(nodes, rates, self.caps, zone, excess), self.caps, zone[1], excess, self.begin + start
         )
 
 
 def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathLimits | None]:
     """Return the limits of every segment of a path; None for a segment of zero length and for a turn in place."""
-    zone_start = (
-        place_before_end(path, zone.distance) if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
-    )
-    return [
-        segment_limits(
-            segment, SpeedCaps(drive, segment.direction), zone_start - float(begin), zone.speed, float(begin)
-        )
-        if segment.length > NO_LENGTH and not isinstance(segment, TurnSegment)
-        else None
-        for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True)
-    ]
+    is_slow = zone.distance > 0.0 and math.isfinite(zone.speed)
+    zone_start = place_before_end(path, zone.distance) if is_slow else math.inf
+    found: list[PathLimits | None] = []
+    for segment, begin in zip(path.segments, path.segment_starts.tolist(), strict=False):
+        if isinstance(segment, TurnSegment) or segment.length <= NO_LENGTH:
+            found.append(None)
+        else:
+            caps = SpeedCaps(drive, segment.direction)
+            found.append(segment_limits(segment, caps, zone_start - begin, zone.speed, begin))
+    return found
 
 
 def segment_limits(
@@ -288,23 +281,109 @@ def segment_limits(
         zone_speed: Speed limit in the zone [m/s].
         begin: Start of the segment on the whole path [m].
     """
-    spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING
-    length = segment.length
-    zone_start = min(max(zone_start, 0.0), length)
-    s = _nodes(segment.knots, length, max(spacing, length / _MOST_NODES), zone_start)
-    zone_start = float(s[np.abs(s - zone_start).argmin()])  # the nearest node replaces the zone start
-    cells = s[1:] - s[:-1]
-    return PathLimits(
-        s=readonly(s),
-        curvature=readonly(segment.curvature_at(s)),
-        rate_left=readonly(_rates(segment, s[:-1], s[:-1] + 0.5 * cells)),
-        rate_right=readonly(_rates(segment, s[1:] - _LEFT_OF_NODE * cells, s[:-1] + 0.5 * cells)),
-        caps=caps,
-        zone_start=zone_start,
-        zone_speed=zone_speed,
-        excess=_step_excess(segment, s) if isinstance(segment, PolylineSegment) else None,
-        begin=begin,
+    zone = min(max(zone_start, 0.0), segment.length), zone_speed
+    if isinstance(segment, ClothoidSegment):
+        # The last bits of a cube root, which turning limits of order 2 need, depend on the library.
+        has_roots = caps.drive.max_lateral_jerk < math.inf
+        table = (_clothoid_numpy if has_roots else _clothoid_chosen)(segment.spline, caps, *zone)
+        return PathLimits(table, caps, zone_speed, None, begin)
+    s = _nodes(segment.knots, _POLYLINE_SPACING, zone[0])
+    excess = _step_excess(segment, s) if isinstance(segment, PolylineSegment) else None
+    return PathLimits(_table_of(segment, s, caps, zone, excess), caps, zone_speed, excess, begin)
+
+
+_KERNEL = Kernel("optdock_path_limits", sizes=2, numbers=11)
+
+
+def _clothoid_native(spline: ClothoidSpline, caps: SpeedCaps, zone_start: float, zone_speed: float) -> FloatArray:
+    knots, drive, length = spline.knots, caps.drive, spline.length
+    spacing, count = max(_CLOTHOID_SPACING, length / _MOST_NODES), knots.size
+    room = int(length / spacing) + count + 3
+    size = 13 * room + count - 8
+    table = np.empty(size)
+    n = _KERNEL(
+        (count, room),
+        (
+            *(spacing, zone_start, zone_speed, caps.max_speed, drive.max_yaw_rate, drive.max_lateral_acceleration),
+            *(drive.max_wheel_speed, drive.track_width, drive.max_steering_rate, drive.wheelbase),
+            drive.max_yaw_acceleration,
+        ),
+        ((knots, count), (spline.curvature, count), (table, size)),
     )
+    if n < 0:
+        raise ValueError("limits: needs at least two knots that increase")
+    return table[: 13 * n - 9]
+
+
+def _clothoid_numpy(spline: ClothoidSpline, caps: SpeedCaps, zone_start: float, zone_speed: float) -> FloatArray:
+    """Return the limits along a clothoid spline; see `limits_table`."""
+    return _table_of(
+        ClothoidSegment(spline),
+        _nodes(spline.knots, _CLOTHOID_SPACING, zone_start),
+        caps,
+        (zone_start, zone_speed),
+        None,
+    )
+
+
+_clothoid_chosen = twin_of(_clothoid_native)(_clothoid_numpy)
+
+
+def _table_of(
+    segment: Segment, s: FloatArray, caps: SpeedCaps, zone: tuple[float, float], excess: FloatArray | None
+) -> FloatArray:
+    """Return the limits along a segment with these nodes; see `limits_table`."""
+    cells = s[1:] - s[:-1]
+    middles = s[:-1] + 0.5 * cells
+    rates = _rates(segment, s[:-1], middles), _rates(segment, s[1:] - _LEFT_OF_NODE * cells, middles)
+    return limits_table((s, segment.curvature_at(s)), rates, caps, zone, excess)
+
+
+def limits_table(
+    nodes: tuple[FloatArray, FloatArray],
+    rates: tuple[FloatArray, FloatArray],
+    caps: SpeedCaps,
+    zone: tuple[float, float],
+    excess: FloatArray | None = None,
+) -> FloatArray:
+    """Return the limits along a segment as one array of 13 n - 9 numbers.
+
+    It contains `s`, `left`, `slope`, `curvature`, `rate_right`, `slowness_left`, `slowness_right`, `steepest`,
+    `slowest` and `zone_start` of `PathLimits`, and the time along the maximum velocity curve [s].
+
+    Args:
+        nodes: Places [m] and their curvature [1/m], Shape (n,) each.
+        rates: Curvature rates just to the right of every cell's left node and just to the left of its right node,
+            Shape (n - 1,) each [1/m^2].
+        caps: Speed caps.
+        zone: Start of the speed zone, replaced by the nearest node [m], and the speed limit in it [m/s].
+        excess: Addition to |curvature| at the nodes, for the caps, Shape (n,) [1/m]; None: zero.
+    """
+    (s, curvature), (rate_left, rate_right) = nodes, rates
+    slowness = caps.slowness(curvature, 0.0 if excess is None else excess)
+    left, right, cells = slowness[:-1], slowness[1:], s[1:] - s[:-1]
+    if caps.steering:
+        first, last = curvature[:-1], curvature[1:]
+        crosses = first * last < 0.0  # the steering rate of a cell is largest at zero curvature
+        left = np.maximum(left, caps.steering_slowness(np.where(crosses, 0.0, first), rate_left))
+        right = np.maximum(right, caps.steering_slowness(np.where(crosses, 0.0, last), rate_right))
+    zone_start = float(s[np.abs(s - zone[0]).argmin()])
+    slow = np.where((s[:-1] >= zone_start) & (zone_start < s[-1]), 1.0 / zone[1], 0.0)
+    begins = np.array((curvature[:-1], rate_left, np.maximum(left, slow)))
+    ends = np.array((curvature[1:], rate_right, np.maximum(right, slow)))
+    steepest, slowest = np.maximum(np.abs(rate_left), np.abs(rate_right)), np.maximum(begins[2], ends[2])
+    along_curve = np.cumsum(cells * _slowest_with(turning_limits(caps.drive), slowest, steepest))[-1]
+    columns = begins.ravel(), ((ends - begins) / cells).ravel(), curvature, rate_right, left, right, steepest, slowest
+    return np.concatenate((s, *columns, (zone_start, along_curve)))
+
+
+def _slowest_with(
+    turning: tuple[TurningLimit, ...], slowness: FloatArray, steepest: FloatArray, share: float = 1.0
+) -> FloatArray:
+    """Return the slowness at which constant speed also satisfies a share of the turning limits. Shape (n - 1,)."""
+    for limit in turning:
+        slowness = np.maximum(slowness, limit.slowness(steepest, share))
+    return slowness
 
 
 def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
@@ -327,8 +406,10 @@ def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
     return excess
 
 
-def _nodes(knots: FloatArray, length: float, spacing: float, zone_start: float) -> FloatArray:
-    """Return the segment's knots and the zone start, with equal steps of at most `spacing` between them."""
+def _nodes(knots: FloatArray, spacing: float, zone_start: float) -> FloatArray:
+    """Return the segment's knots and the zone start, with equal steps of about `spacing` or less between them."""
+    length = float(knots[-1])
+    spacing = max(spacing, length / _MOST_NODES)
     knots = np.concatenate((knots, [zone_start]))
     knots.sort()
     keep = np.empty(knots.size, dtype=np.bool_)
@@ -358,7 +439,10 @@ class ReferenceBounds:
     Attributes:
         speed_squared: Bound on v^2 in each cell for the reference, Shape (n - 1,) [m^2/s^2].
         turning: Turning limits in each cell for the reference, Shape (n - 1,) each.
-        cap_squared: v^2 of the speed caps of a cell, without margin, Shape (n - 1,) [m^2/s^2].
+        ceiling: Bound on v^2 with the turning limits as speed caps at a = 0, Shape (n - 1,) [m^2/s^2].
+        table: `speed_squared`, `ceiling` and `turning`, for kernels, Shape (2 + limits, n - 1).
+        jerk: Bound on the jerk of the reference [m/s^3].
+        first_cap: v^2 of the speed cap of the first cell, without margin [m^2/s^2].
         jumps: Indices of the inner nodes where a jump of the curvature rate is large in relation to the limit of the
             yaw acceleration or to the cap of the steering rate.
     """
@@ -371,28 +455,34 @@ class ReferenceBounds:
 
     def __post_init__(self) -> None:
         limits = self.limits
-        left, right = limits.slowness_left, limits.slowness_right
-        if limits.has_zone:
-            slow = np.where(limits.s[:-1] >= limits.zone_start, 1.0 / limits.zone_speed, 0.0)
-            left, right = np.maximum(left, slow), np.maximum(right, slow)
-        ends = np.array((limits.curvature[1:], limits.rate_right, right))
-        self._left = np.array((limits.curvature[:-1], limits.rate_left, left))
-        self._slope = (ends - self._left) / (limits.s[1:] - limits.s[:-1])
-        relieved = limits.s[:-1] < self.relief
+        self.jerk = limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
+        relieved = limits.s[:-1] < self.relief if self.relief > 0.0 else np.False_
         factor = self._factors() if self.tightenings else 1.0
-        cap = np.maximum(left, right) ** -2.0
-        speed = (factor * np.where(relieved, 1.0 - _RELIEVED_SPEED, 1.0 - SPEED_MARGIN)) ** 2
-        turning = factor**2 * np.where(relieved, 1.0 - _RELIEVED_YAW, 1.0 - _YAW_MARGIN)
-        self.jumps = _NONE
+        cap = limits.slowest**-2.0
+        speed = factor * np.where(relieved, 1.0 - _RELIEVED_SPEED, 1.0 - SPEED_MARGIN)
+        share = factor * factor * np.where(relieved, 1.0 - _RELIEVED_YAW, 1.0 - _YAW_MARGIN)
+        self.first_cap = float(cap[0])
+        self.table = table = np.empty((2 + len(limits.turning), cap.size))
+        self.speed_squared, self.ceiling, *turning = table
+        self.turning = tuple(turning)
+        self.speed_squared[:] = self.ceiling[:] = cap * (speed * speed)
+        for limit, bounds in zip(limits.turning, turning, strict=True):
+            bounds[:] = limit.bounds(share)
+            self.ceiling[:] = np.minimum(self.ceiling, limit.most_squared(bounds, np.maximum(limits.steepest, 1e-9)))
+        self.jumps = self._found_jumps(cap)
+
+    def _found_jumps(self, cap: FloatArray) -> IntArray:
+        """Return `jumps`; cap: v^2 of the speed caps of a cell, Shape (n - 1,) [m^2/s^2]."""
+        limits, jumps = self.limits, _NONE
         if limits.turning:
             jump, least = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]), np.minimum(cap[1:], cap[:-1])
             large = [limit.at_constant_speed(least, jump) > _JUMP * limit.bound for limit in limits.turning]
-            self.jumps = np.logical_or.reduce(large).nonzero()[0] + 1
+            jumps = np.logical_or.reduce(large).nonzero()[0] + 1
         if limits.caps.steering:
-            at_caps = np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > _CAP_JUMP) + 1
-            self.jumps = np.union1d(self.jumps, at_caps)
-        self.turning = tuple(readonly(limit.bounds(turning)) for limit in limits.turning)
-        self.cap_squared, self.speed_squared = readonly(cap), readonly(cap * speed)
+            slow = np.where(limits.has_zone & (limits.s[:-1] >= limits.zone_start), 1.0 / limits.zone_speed, 0.0)
+            before = np.maximum(limits.slowness_right, slow)[:-1]
+            jumps = np.union1d(jumps, np.flatnonzero(np.abs(limits.left[2, 1:] / before - 1.0) > _CAP_JUMP) + 1)
+        return jumps
 
     def _factors(self) -> FloatArray:
         s = self.limits.s
@@ -402,33 +492,11 @@ class ReferenceBounds:
             factor = np.where(inside, np.minimum(factor, stretch.factor), factor)
         return factor
 
-    @property
-    def jerk(self) -> float:
-        """Bound on the jerk of the reference [m/s^3]."""
-        return self.limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
-
-    @cached_property
-    def packed(self) -> tuple[FloatArray, FloatArray]:
-        """All of `curve_at` and `jump_excess_at` for the kernels.
-
-        The first array contains the nodes, and curvature, rate and slowness at the left end of the cells with their
-        slopes, Shape (7 n - 6,). The second array contains place, curvature, rates on both sides and slowness at the
-        jumps, Shape (5, jumps).
-        """
-        limits, nodes = self.limits, self.jumps
-        along = np.concatenate((limits.s, self._left, self._slope), axis=None)
-        if not nodes.size:
-            return along, np.zeros((5, 0))
-        slowness = np.zeros(nodes.size)
-        if limits.caps.steering:
-            slowness = np.maximum(limits.slowness_right[nodes - 1], limits.slowness_left[nodes])
-        sides = limits.rate_right[nodes - 1], limits.rate_left[nodes]
-        return along, np.array((limits.s[nodes], limits.curvature[nodes], *sides, slowness))
-
     def curve_at(self, s: FloatArray) -> FloatArray:
         """Return curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""
-        cell = self.limits.cells_at(s)
-        values: FloatArray = self._left[:, cell] + self._slope[:, cell] * (s - self.limits.s[cell])
+        limits = self.limits
+        cell = limits.cells_at(s)
+        values: FloatArray = limits.left[:, cell] + limits.slope[:, cell] * (s - limits.s[cell])
         return values
 
     def excess_at(self, s: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:

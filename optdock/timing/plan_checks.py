@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.model.constant_jerk import constant_jerk
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.jerk_phases import Motion, MotionState, Phases
 from optdock.timing.turning_limits import turning_ratio
@@ -150,18 +151,20 @@ def end_slack(limits: PathLimits) -> float:
     return min(_REACHED, _REACHED_SHARE * limits.length)
 
 
-def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
+def arrived_plan(limits: PathLimits, start: MotionState, phases: Phases, how: str) -> SegmentPlan:
     """Return the plan of a motion, OK if the motion ends at rest at the end of the segment; limits are not checked."""
-    end = motion.end
-    if abs(end.s - limits.length) <= end_slack(limits) and max(abs(end.v), abs(end.a)) <= _REACHED:
-        return SegmentPlan(TimingStatus.OK, motion.phases, how=how)
-    reason = f"ends at {end}, not at rest after {limits.length:.6g} m"
-    return SegmentPlan(TimingStatus.FAIL, motion.phases, how=how, reason=reason)
+    s, v, a = start
+    for duration, jerk in phases:
+        s, v, a = constant_jerk(duration, s, v, a, jerk)
+    if abs(s - limits.length) <= end_slack(limits) and max(abs(v), abs(a)) <= _REACHED:
+        return SegmentPlan(TimingStatus.OK, phases, how=how)
+    reason = f"ends at {MotionState(s, v, a)}, not at rest after {limits.length:.6g} m"
+    return SegmentPlan(TimingStatus.FAIL, phases, how=how, reason=reason)
 
 
 def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> SegmentPlan:
     """Return the plan of a motion, OK if it ends as required and `worst`, from the dense check, violates no limit."""
-    plan = arrived_plan(limits, motion, how)._replace(ratio=worst.ratio)
+    plan = arrived_plan(limits, motion.start, motion.phases, how)._replace(ratio=worst.ratio)
     if plan.status is not TimingStatus.OK or worst.ratio <= KEPT:
         return plan
     s = limits.begin + worst.s

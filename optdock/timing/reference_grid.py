@@ -75,7 +75,7 @@ def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
     """Return the arc of constant +J from rest or a low speed; for a faster start, the arc has no phases."""
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
-    if start.v * start.v >= _SLOW**2 * float(bounds.cap_squared[0]):
+    if start.v * start.v >= _SLOW**2 * bounds.first_cap:
         return Arc((), start)
     if start.a < a:
         phase = ((a - start.a) / jerk, jerk)

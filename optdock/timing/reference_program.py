@@ -23,8 +23,18 @@ import numpy as np
 from optdock.deadline import ENDLESS
 from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
-from optdock.timing.forward_backward import SLOWEST, SpeedProfile, ceiling, forward_backward_pass
-from optdock.timing.interior_point import Program, applied, solve
+from optdock.timing.forward_backward import SLOWEST, SpeedProfile, forward_backward_pass
+from optdock.timing.interior_point import (
+    AT_ONCE,
+    MOST_ITERATIONS,
+    SETTINGS,
+    Iterate,
+    Program,
+    advanced,
+    applied,
+    iterations_at_once,
+    solve,
+)
 from optdock.timing.jerk_phases import MotionState
 from optdock.timing.reference_grid import (
     CRUISE_SAMPLE,
@@ -59,6 +69,7 @@ __all__ = [
     "solve_reference",
     "spline_of",
     "spline_phases",
+    "states_of",
 ]
 
 
@@ -217,91 +228,80 @@ class Prepared(NamedTuple):
     launch: Arc
     stop: Arc
     grid: Grid | None = None
-    program: Program | None = None
-    first: FloatArray | None = None  # first coefficients, Shape (M + 2,)
     curve: FloatArray | None = None  # stencil of x'', Shape (3, M)
+    program: Program | None = None
+    iterate: Iterate | None = None  # after the first iterations
+    table: FloatArray | None = None  # its result of `states_of`, Shape (5, M + 1)
 
 
-_KERNEL = Kernel("optdock_reference_program", sizes=4, numbers=16)
-_TUNING = readonly(np.array([SLOWEST, *TUNING, _GUESS_SAMPLE, _GUESS_SHARE, _GUESS_BLEND, 1.0 - _DRIVE_MARGIN]))
-_SAMPLE = (
-    0.06  # [s]: smallest period of samples and cells that the kernel assumes for the first estimate of their number
+_KERNEL = Kernel("optdock_reference_program", sizes=6, numbers=16)
+_TUNING = readonly(
+    np.array([SLOWEST, *TUNING, _GUESS_SAMPLE, _GUESS_SHARE, _GUESS_BLEND, 1.0 - _DRIVE_MARGIN, *SETTINGS])
 )
 
 
 def _prepared_native(bounds: ReferenceBounds, start: MotionState) -> Prepared:
-    limits, drive, jumps = bounds.limits, bounds.limits.drive, bounds.jumps.size
-    turning, n, cells = len(limits.turning), limits.s.size, limits.s.size - 1
-    zone = limits.zone_start if limits.has_zone else np.inf
-    profile, ends, rows = np.empty((2, n)), np.empty(9), 6 + turning
-    numbers = (
-        *(
-            drive.max_acceleration,
-            drive.max_deceleration,
-            drive.max_jerk,
-            bounds.jerk,
-            _price(bounds),
-            bounds.step,
-            zone,
-        ),
-        *(limits.caps.steering, bounds.cap_squared[0], *limits.turning_numbers, *start),
-    )
-    given = (
-        (_TUNING, _TUNING.size),
-        (bounds.packed[0], 7 * n - 6),
-        (limits.curvature, n),
-        (bounds.speed_squared, cells),
-        (ceiling(bounds), cells),
-        (limits.steepest, cells),
-        (np.concatenate(bounds.turning) if turning else _TUNING[:0], cells * turning),
-        (limits.rate_left, cells),
-        (limits.rate_right, cells),
-        (limits.slowness_left, cells),
-        (limits.slowness_right, cells),
-        (bounds.jumps, jumps),
-        (profile, 2 * n),
-        (ends, 9),
-    )
-    linear, curved = limits.turning_rows
-    room, parts = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE)), 3 * (linear + 2 * curved)
+    limits, drive, jumps, rows = bounds.limits, bounds.limits.drive, bounds.jumps.size, 6 + len(bounds.turning)
+    n, (linear, curved) = limits.s.size, limits.turning_rows
+    most = (drive.max_acceleration, drive.max_deceleration, drive.max_jerk, bounds.jerk, _price(bounds), bounds.step)
+    zone = limits.zone_start if limits.has_zone else math.inf
+    numbers = (*most, zone, limits.caps.steering, bounds.first_cap, *limits.turning_numbers, *start)
+    parts, variables = 3 * (linear + 2 * curved), 2 * linear + 3 * curved + 1
+    room = 64 + int(2.0 * limits.duration_estimate / min(bounds.step, CRUISE_SAMPLE))
     while True:
-        knots, inside, data = np.empty(rows * (room + 1)), np.empty(4 * room), np.empty(parts * room + 9)
-        first, work = np.empty(4 * room + 2), np.empty(size := 2 * n + 34 * room + 5 * jumps + 32)
-        new = (
-            (knots, rows * (room + 1)),
-            (inside, 4 * room),
-            (data, parts * room + 9),
-            (first, 4 * room + 2),
-            (work, size),
-            (np.empty(2 * jumps, dtype=np.int64), 2 * jumps),
+        size = 2 * n + rows + 28 + (rows + 12 + parts + variables) * room
+        work = max(2 * n + 34 * room + 7 * jumps + 32, (5 * linear + 8 * curved + 17) * room + 4)
+        found = np.empty(size)
+        m = _KERNEL(
+            (n, rows - 6, jumps, room, MOST_ITERATIONS, AT_ONCE),
+            numbers,
+            (
+                (_TUNING, _TUNING.size),
+                (limits.table, 13 * n - 9),
+                (bounds.table, (rows - 4) * (n - 1)),
+                (bounds.jumps, jumps),
+                (found, size),
+                (np.empty(work), work),
+            ),
         )
-        m = _KERNEL((n, turning, jumps, room), numbers, (*given, *new))
         if m >= -1:
             break
         room = -m
     if m < 0:
         raise ValueError("reference: needs at least two nodes, jumps at inner nodes, and at most two turning limits")
-    launched, jerk, s, v, a, stopped, *last = ends.tolist()
-    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(s, v, a))
-    found = Prepared(SpeedProfile(*profile), launch, Arc(((stopped, bounds.jerk),), MotionState(*last)))
+    launched, jerk, *first, stopped, s, v, a, count = found[:10].tolist()
+    launch = Arc(((launched, jerk),) if launched > 0.0 else (), MotionState(*first))
+    stop = Arc(((stopped, bounds.jerk),), MotionState(s, v, a))
+    profile = SpeedProfile(found[10 : 10 + n], found[10 + n : 10 + 2 * n])
     if m == 0:
-        return found
-    row, cell = knots[: rows * (m + 1)].reshape(rows, m + 1), inside[: 4 * m].reshape(4, m)
+        return Prepared(profile, launch, stop)
+    knots = 10 + 2 * n
+    cells = knots + rows * (m + 1)
+    table = cells + 4 * m
+    curve = table + 5 * (m + 1)
+    state = curve + 3 * m
+    data = state + variables * m + 4
+    row, cell = found[knots:cells].reshape(rows, m + 1), found[cells:table].reshape(4, m)
     at_zone = zone_knot(limits, row[0])
     grid = Grid(row[0], cell[0], row[1], row[2], row[3:5], tuple(row[6:]), cell[1], cell[2:], at_zone, row[5])
-    program = Program(data[: parts * m + 9], m, linear, curved)
-    return Prepared(*found[:3], grid, program, first[: m + 2], first[m + 2 : 4 * m + 2].reshape(3, m))
+    program = Program(found[data : data + parts * m + 9], m, linear, curved)
+    iterate = Iterate(found[state:data], int(count), bool(found[data - 1]) or count == MOST_ITERATIONS)
+    states = found[table:curve].reshape(5, m + 1)
+    return Prepared(profile, launch, stop, grid, found[curve:state].reshape(3, m), program, iterate, states)
 
 
 @twin_of(_prepared_native)
 def prepared(bounds: ReferenceBounds, start: MotionState) -> Prepared:
-    """Return the reference program from a start state to rest, and its first coefficients."""
+    """Return the reference program from a start state to rest, and the iterate after its first iterations."""
     profile = forward_backward_pass(bounds, start)
     launch, stop = launch_arc(bounds, start), stop_arc(bounds)
     if stop.state.s - launch.state.s < LEAST_REST * bounds.limits.length:
         return Prepared(profile, launch, stop)
     grid = grid_of(bounds, profile, launch.state, stop.state)
-    return Prepared(profile, launch, stop, grid, *program_on(bounds, profile, grid, launch.state, stop.state))
+    program, first, curve = program_on(bounds, profile, grid, launch.state, stop.state)
+    iterate = advanced(program, Iterate(first), iterations_at_once(program.m))
+    table = states_of(bounds, grid, (launch, stop), curve, iterate.state[: program.m + 2])
+    return Prepared(profile, launch, stop, grid, curve, program, iterate, table)
 
 
 def program_on(
@@ -324,11 +324,7 @@ def _price(bounds: ReferenceBounds) -> float:
 class ReferenceStates(NamedTuple):
     """States at the knots of the spline, and the arcs on both sides of it."""
 
-    s: FloatArray  # Shape (M + 1,) [m]
-    v: FloatArray  # Shape (M + 1,) [m/s]
-    a: FloatArray  # Shape (M + 1,) [m/s^2]
-    curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
-    durations: FloatArray  # of the cells, in which the acceleration is linear in s, Shape (M,) [s]
+    table: FloatArray  # result of `states_of`, Shape (5, M + 1)
     grid: Grid  # the knots
     launch: Arc  # arc before the spline, possibly without phases
     stop: Arc  # arc after the spline
@@ -346,26 +342,51 @@ def solve_reference(
         OutOfTime: If the deadline passed.
     """
     deadline.look()
-    limits = bounds.limits
-    profile, launch, stop, grid, program, c, curve = prepared(bounds, start)
-    if grid is None or program is None or c is None or curve is None:
+    profile, launch, stop, grid, curve, program, iterate, table = prepared(bounds, start)
+    if grid is None or curve is None or program is None or iterate is None or table is None:
         return None
-    first, last = launch.state, stop.state
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
-        c, iterations = solve(program, c, deadline.look)
+    if not iterate.ended:
+        iterate = solve(program, iterate, deadline.look)
+        table = states_of(bounds, grid, (launch, stop), curve, iterate.state[: program.m + 2])
+    longest = _HOPELESS * max(bounds.limits.duration_estimate, float(profile.time[-1]))
+    if not float(table[3, :-1].sum()) <= longest:
+        return None
+    return ReferenceStates(table, grid, launch, stop, iterate.iteration)
+
+
+def states_of(
+    bounds: ReferenceBounds, grid: Grid, arcs: tuple[Arc, Arc], curve: FloatArray, c: FloatArray
+) -> FloatArray:
+    """Return the states at the knots, and the duration and the jerk of the cells behind them. Shape (5, M + 1).
+
+    The acceleration is linear in s in a cell. The stop arc is behind the last knot.
+
+    Args:
+        bounds: Bounds of the reference.
+        grid: The knots.
+        arcs: Arcs before and after the spline.
+        curve: Stencil of x'', Shape (3, M).
+        c: Coefficients, Shape (M + 2,).
+
+    Returns:
+        Rows: distance [m], speed [m/s], acceleration [m/s^2], duration [s], largest |jerk|, infinite in the arc
+        [m/s^3].
+    """
+    drive, (launch, stop) = bounds.limits.drive, arcs
     padded = np.concatenate((grid.steps[:1], grid.steps, grid.steps[-1:]))
     before = padded[:-1]
     both = before + padded[1:]
     share, slope = before / both, 1.0 / both
-    x, a = (1.0 - share) * c[:-1] + share * c[1:], slope * c[1:] - slope * c[:-1]
-    v = np.sqrt(np.maximum(x, 1e-12))
-    a = np.minimum(np.maximum(a, -limits.drive.max_deceleration), limits.drive.max_acceleration)
-    v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
-    durations = 2.0 * grid.steps / (v[:-1] + v[1:])
-    longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
-    if not float(durations.sum()) <= longest:
-        return None
-    return ReferenceStates(grid.knots, v, a, applied(curve, c), durations, grid, launch, stop, iterations)
+    table = np.empty((5, grid.knots.size))
+    table[0] = grid.knots
+    table[1] = np.sqrt(np.maximum((1.0 - share) * c[:-1] + share * c[1:], 1e-12))
+    table[2] = np.minimum(np.maximum(slope * c[1:] - slope * c[:-1], -drive.max_deceleration), drive.max_acceleration)
+    table[1:3, 0], table[1:3, -1] = launch.state[1:], stop.state[1:]
+    v = table[1]
+    table[3, :-1] = 2.0 * grid.steps / (v[:-1] + v[1:])
+    table[4, :-1] = 0.5 * np.abs(applied(curve, c)) * np.maximum(v[:-1], v[1:])
+    table[3:, -1] = stop.phases[0][0], np.inf
+    return table
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:

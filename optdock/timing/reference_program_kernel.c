@@ -9,12 +9,19 @@
 
 enum { MOST_LIMITS = 2 }; /* turning limits */
 
+/* In `interior_point_kernel.c`. */
+int64_t optdock_interior_point(int64_t m, int64_t linear, int64_t curved, int64_t before, int64_t iterations,
+                               double least_share, double gap, double residual, double to_boundary,
+                               double largest_decrease, double long_step, double long_share, double middle_step,
+                               double middle_share, double short_share, double smallest_slack, double first_gap,
+                               const double *program, double *state, double *room);
+
 /* Numbers of nodes, turning limits, jumps, and most cells. */
 typedef struct {
     int64_t nodes, limits, jumps, room;
 } Counts;
 
-/* Bounds along the segment, by nodes (nodes,) or cells (nodes - 1,); see `ReferenceBounds` and `PathLimits`. */
+/* Bounds along the segment, by nodes (nodes,) or cells (nodes - 1,); see `PathLimits` and `ReferenceBounds`. */
 typedef struct {
     const double *s, *left, *slope; /* places; curvature, rate and slowness at the left end of cells, and slopes: (3, .) */
     const double *curvature, *speed_squared, *ceiling, *steepest, *turning; /* turning: (limits, nodes - 1) */
@@ -452,9 +459,10 @@ static void set_limits(Counts n, const Bounds *of, const Profile *profile, const
     }
 }
 
-/* Numbers of cells, turning limits, nodes of the profile, samples of the filter, and its half width in samples. */
+/* Numbers of cells, turning limits, those of order 2, nodes of the profile, samples of the filter, and its half width
+ * in samples. */
 typedef struct {
-    int64_t m, limits, nodes, times, half;
+    int64_t m, limits, curved, nodes, times, half;
 } Sizes;
 
 typedef struct {
@@ -599,11 +607,7 @@ static void plain_rows(int64_t m, const Grid *grid, const Settings *set, const S
 static void limit_rows(Sizes n, const Grid *grid, const Settings *set, const Spline *spline, Program *out,
                        double *middle)
 {
-    int64_t m = n.m, counts[2] = {0, 0}, next[2];
-    for (int64_t l = 0; l < n.limits; l++)
-        counts[set->orders[l] == 1.0 ? 0 : 1] += 2;
-    next[0] = 3;
-    next[1] = 2;
+    int64_t m = n.m, counts[2] = {2 * (n.limits - n.curved), 2 * n.curved}, next[2] = {3, 2};
     for (int64_t l = 0; l < n.limits; l++) {
         int64_t kind = set->orders[l] == 1.0 ? 0 : 1, rows = kind == 0 ? out->rows : out->curved_rows;
         double *stencils = kind == 0 ? out->linear : out->curved;
@@ -660,20 +664,17 @@ static void set_coefficients(int64_t m, const double *steps, const Settings *set
     c[m + 1] = last + set->last_a * steps[m - 1];
 }
 
-/* Program and first coefficients on the grid of `set_limits`; see `optdock_reference_program`. work: 17 m + 3 samples
+/* Program, first coefficients and stencil of x'' on the grid of `set_limits`; see `optdock_reference_program`. work: 17 m + 3 samples
  * + 2 half + 2. */
 static void make_program(Sizes n, const Settings *set, const double *knots, const double *cells, const double *profile,
-                         double *program, double *first, double *room)
+                         double *program, double *first, double *stencil, double *room)
 {
-    int64_t m = n.m, k = m + 1, curved = 0;
-    for (int64_t l = 0; l < n.limits; l++)
-        curved += set->orders[l] != 1.0;
-    int64_t rows = 3 + 4 * (n.limits - curved);
+    int64_t m = n.m, k = m + 1, curved = n.curved, rows = 3 + 4 * (n.limits - curved);
     Grid grid = {cells, knots + k, knots + 2 * k, knots + 3 * k, knots + 5 * k, knots + 6 * k, cells + m, cells + 2 * m};
     double *linear = program + m, *with_speed = linear + 3 * rows * m;
     double *places = with_speed + 3 * (2 + 4 * curved) * m, *right = places + 3 * 4 * curved * m;
     Program out = {linear, with_speed, places, right, right + k, rows, 2 + 4 * curved, 4 * curved};
-    Spline spline = {room, room + 3 * m, room + 6 * m, room + 9 * m, first + m + 2};
+    Spline spline = {room, room + 3 * m, room + 6 * m, room + 9 * m, stencil};
     double *work = room + 12 * m, *guess = work + 4 * m;
 
     for (int64_t i = 0; i < m; i++)
@@ -697,34 +698,65 @@ static Sizes sizes_of(Counts n, const Case *set, const Tuning *tuned, const Prof
     double fall = reachable < set->deceleration ? reachable : set->deceleration;
     int64_t count = periods > 2.0 ? (int64_t)periods : 2;
     double half = 0.5 * (rise + fall) / set->full_jerk * (double)count / total;
-    return (Sizes){m, n.limits, n.nodes, count + 1, half < (double)count ? (int64_t)half + 1 : count + 1};
+    int64_t curved = 0;
+    for (int64_t l = 0; l < n.limits; l++)
+        curved += set->orders[l] != 1.0;
+    return (Sizes){m, n.limits, curved, n.nodes, count + 1, half < (double)count ? (int64_t)half + 1 : count + 1};
 }
 
-/* Make the reference program of a segment with nodes >= 2 and at most two turning limits.
+/* Set states, durations and jerks (5, m + 1) from the coefficients c; see `states_of`. right: weights of c_{i+1} at the
+ * knots, curve: stencil of x''. */
+static void set_states(int64_t m, const Case *set, State first, State last, double stopped, const double *knots,
+                       const double *steps, const double *right, const double *curve, const double *c, double *table)
+{
+    int64_t k = m + 1;
+    double *v = table + k, *a = v + k, *times = a + k, *jerks = times + k;
+    for (int64_t i = 0; i < k; i++) {
+        double slope = 1.0 / (steps[i == 0 ? 0 : i - 1] + steps[i == m ? m - 1 : i]);
+        table[i] = knots[i];
+        v[i] = sqrt(most((1.0 - right[i]) * c[i] + right[i] * c[i + 1], 1e-12));
+        a[i] = least(most(slope * c[i + 1] - slope * c[i], -set->deceleration), set->acceleration);
+    }
+    v[0] = first.v;
+    a[0] = first.a;
+    v[m] = last.v;
+    a[m] = last.a;
+    for (int64_t i = 0; i < m; i++) {
+        double bend = curve[i] * c[i] + curve[m + i] * c[i + 1] + curve[2 * m + i] * c[i + 2];
+        times[i] = 2.0 * steps[i] / (v[i] + v[i + 1]);
+        jerks[i] = 0.5 * fabs(bend) * most(v[i], v[i + 1]);
+    }
+    times[m] = stopped;
+    jerks[m] = INFINITY;
+}
+
+/* Make the reference program of a segment with nodes >= 2 and at most two turning limits, and its first iterations.
  *
- *   sizes      nodes, turning limits, jumps, most cells and samples
+ *   sizes      nodes, turning limits, jumps, most cells and samples, most iterations, most cells times iterations
  *   numbers    see `Case`; then the start, s, v and a
- *   tuned      see `Tuning`
- *   along      (7 nodes - 6,), see `ReferenceBounds.packed`; the other inputs are those of `Bounds`
- *   profile    out, (2, nodes): v^2 and time
- *   ends       out, (9,): duration and jerk of the launch arc, state after it, duration of the stop arc, state before it
- *   knots      out, (6 + limits, m + 1), and cells: out, (4, m), see `set_limits`
- *   program    out: steps (m,), linear (3, 3 + 4 of order 1, m), with speed (3, 2 + 4 of order 2, m), places (3, 4 of
- *              order 2, m), right shares (m + 1,), bands (4, m + 2)
- *   first      out, coefficients (m + 2,), then x'' (3, m) as a stencil
- *   work       2 nodes + 34 most + 5 jumps + 32; indices: 2 jumps
+ *   tuned      see `Tuning`; then the settings of the interior point method
+ *   along      (13 nodes - 9,), see `PathLimits.table`
+ *   bounds     (2 + limits, nodes - 1), see `ReferenceBounds.table`
+ *   jumps      (jumps,)
+ *   found      out, one after the other:
+ *              (10,): duration and jerk of the launch arc, state after it, duration of the stop arc, state before it,
+ *              iterations;
+ *              profile (2, nodes): v^2 and time;
+ *              knots (6 + limits, m + 1) and cells (4, m), see `set_limits`;
+ *              states, durations and jerks (5, m + 1), see `states_of`;
+ *              x'' (3, m) as a stencil, and the state of `optdock_interior_point`;
+ *              program: steps (m,), linear (3, 3 + 4 of order 1, m), with speed (3, 2 + 4 of order 2, m), places (3, 4
+ *              of order 2, m), right shares (m + 1,), bands (4, m + 2)
+ *   work       2 nodes + 34 most + 7 jumps + 32, or as `optdock_interior_point` if that is more
  *
  * Return the number m of cells, 0 if the arcs leave no room for the reference, -1 if a size is wrong, and -m, or the
  * number of samples, if more cells or samples are needed. */
 int64_t optdock_reference_program(
-    int64_t nodes, int64_t limits, int64_t jumps, int64_t room, double acceleration, double deceleration, double full_jerk,
+    int64_t nodes, int64_t limits, int64_t jumps, int64_t room, int64_t iterations, int64_t at_once, double acceleration, double deceleration, double full_jerk,
     double jerk, double price, double step, double zone_start, double is_steered, double first_cap, double order,
     double other_order, double bound, double other_bound, double start_s, double start_v, double start_a,
-    const double *tuned_numbers, const double *along, const double *curvature, const double *speed_squared,
-    const double *ceiling, const double *steepest, const double *turning, const double *rate_left,
-    const double *rate_right, const double *slowness_left, const double *slowness_right, const int64_t *jump_nodes,
-    double *profile_rows, double *ends, double *knots, double *cells, double *program, double *coefficients, double *work,
-    int64_t *indices)
+    const double *tuned_numbers, const double *along, const double *bounds, const int64_t *jump_nodes, double *found,
+    double *work)
 {
     if (nodes < 2 || limits < 0 || limits > MOST_LIMITS || jumps < 0 || room < 8)
         return -1;
@@ -734,24 +766,30 @@ int64_t optdock_reference_program(
     const double *g = tuned_numbers;
     Tuning tuned = {g[0],  g[1],  g[2],  g[3],  g[4],  g[5],  g[6],  g[7],  g[8],  g[9],
                     g[10], g[11], g[12], g[13], g[14], g[15], g[16], g[17], g[18], g[19]};
+    int64_t pieces = nodes - 1;
+    const double *left = along + nodes, *bend = left + 6 * pieces, *right = bend + nodes;
     Counts n = {nodes, limits, jumps, room};
-    Bounds of = {along,   along + nodes, along + nodes + 3 * (nodes - 1), curvature, speed_squared,  ceiling,   steepest,
-                 turning, rate_left,     rate_right,                      slowness_left, slowness_right, jump_nodes};
+    Bounds of = {along,         left,          left + 3 * pieces, bend,
+                 bounds,        bounds + pieces, right + 3 * pieces, bounds + 2 * pieces,
+                 left + pieces, right,         right + pieces,    right + 2 * pieces,
+                 jump_nodes};
     Case set = {acceleration, deceleration,         full_jerk,           jerk, step, zone_start, is_steered,
                 first_cap,    {order, other_order}, {bound, other_bound}};
+    double *ends = found, *profile_rows = ends + 10, *knots = profile_rows + 2 * nodes;
     Profile profile = {profile_rows, profile_rows + nodes, work};
     double *size = work + nodes, *samples = size + nodes, *places = samples + 2 * room, *sizes = places + jumps;
     double *taken = sizes + jumps, *breaks = taken + jumps + 4, *parts = breaks + jumps + 4, *more = parts + jumps + 4;
+    int64_t *large_nodes = (int64_t *)(work + 2 * nodes + 34 * room + 5 * jumps + 32);
     State first = {start_s, start_v, start_a}, last;
 
     set_profile(n, &of, &set, &tuned, start_v, &profile);
     ends[1] = 0.0;
     ends[0] = launch_arc(n, &of, &set, &tuned, &first, ends + 1);
     ends[5] = stop_arc(n, &of, &set, &tuned, &last);
-    double found[2][3] = {{first.s, first.v, first.a}, {last.s, last.v, last.a}};
+    double states[2][3] = {{first.s, first.v, first.a}, {last.s, last.v, last.a}};
     for (int64_t i = 0; i < 3; i++) {
-        ends[2 + i] = found[0][i];
-        ends[6 + i] = found[1][i];
+        ends[2 + i] = states[0][i];
+        ends[6 + i] = states[1][i];
     }
     if (last.s - first.s < tuned.least_rest * along[nodes - 1])
         return 0;
@@ -760,17 +798,30 @@ int64_t optdock_reference_program(
     if (periods > (double)(room - 1))
         return -(periods < 1e15 ? (int64_t)periods + 1 : (int64_t)1e15);
     set_clock(n, &of, &set, &tuned, (int64_t)periods + 1, &profile, samples, samples + room, size);
-    int64_t large = large_jumps(n, &of, &set, &tuned, &profile, indices, places);
-    int64_t count = set_breaks(n, &of, &set, &tuned, &profile, first, last, indices, large, indices + jumps, sizes, taken,
-                               breaks);
+    int64_t large = large_jumps(n, &of, &set, &tuned, &profile, large_nodes, places);
+    int64_t count = set_breaks(n, &of, &set, &tuned, &profile, first, last, large_nodes, large, large_nodes + jumps, sizes,
+                               taken, breaks);
     int64_t m = set_knots(n, &of, &set, &tuned, &profile, breaks, count, taken, parts, knots);
     if (m > room)
         return -m;
+    double *cells = knots + (6 + limits) * (m + 1), *table = cells + 4 * m;
+    double *curve = table + 5 * (m + 1), *state = curve + 3 * m;
     set_limits(n, &of, &profile, places, large, m, knots, cells);
     Settings settings = {tuned.drive_share * acceleration, tuned.drive_share * deceleration,
                          jerk,    price,             total,   tuned.guess_share, tuned.guess_blend,
                          first.v, first.v * first.v, first.a, last.v,            last.v * last.v, last.a,
                          {order, other_order}};
-    make_program(sizes_of(n, &set, &tuned, &profile, m), &settings, knots, cells, profile_rows, program, coefficients, more);
+    Sizes sizes_now = sizes_of(n, &set, &tuned, &profile, m);
+    int64_t linear = 3 + 4 * (limits - sizes_now.curved), curved = 2 + 4 * sizes_now.curved;
+    int64_t possible = at_once / m > 1 ? at_once / m : 1;
+    double *program = state + (2 * linear + 3 * curved + 1) * m + 4;
+    make_program(sizes_now, &settings, knots, cells, profile_rows, program, state, curve, more);
+    program[-1] = 0.0; /* the method has not ended */
+    g += 20;
+    ends[9] = (double)optdock_interior_point(m, linear, curved, 0, possible < iterations ? possible : iterations, g[0],
+                                             g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8], g[9], g[10], g[11],
+                                             program, state, work);
+    set_states(m, &set, first, last, ends[5], knots, cells, program + (1 + 3 * linear + 6 * curved - 6) * m, curve, state,
+               table);
     return m;
 }

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from optdock.deadline import ENDLESS, Deadline, OutOfTime, Stopwatch
+from optdock.deadline import ENDLESS, Deadline, OutOfTime, Stopwatch, never_late
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import LIMITS
@@ -64,6 +64,7 @@ __all__ = [
 ]
 
 LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
+_REST = MotionState()
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are omitted
 _WITHOUT_MOTION = TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT
 # Reserves of a deadline, as multiples of the time for evaluating the curvature of the path, which depends on path and
@@ -140,7 +141,7 @@ class SegmentTimeParameterizer(TimeParameterizer):
             PluginError: If the package ruckig is not installed.
             TimingCancelled: If `cancel_checker` returned True.
         """
-        deadline = Deadline(max_time, stop=cancel_checker)
+        deadline = Deadline(max_time, stop=never_late if cancel_checker is never_cancelled else cancel_checker)
         start = TimingStart(start_speed, start_acceleration, start_wait)
         return time_path(path, limits, zone, start, self.segment_plans, deadline)
 
@@ -215,7 +216,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
         plans.append(best_of(waiting[-1]))
         if plans[-1].status >= TimingStatus.FAIL or not plans[-1].arrives:
             break
-        state = MotionState() if plans[-1].phases else state
+        state = _REST if plans[-1].phases else state
         deadlines = deadlines if plans[-1].status is TimingStatus.OK else deadlines.refused
     return _proven(path, request, plans, waiting, whole)
 
@@ -259,7 +260,10 @@ def _undrivable(path: Path) -> str:
         if not math.isfinite(segment.step_curvature[first]) and turn != 0.0:
             where = f"by {turn:.6g} rad at s = {begin + float(segment.knots[first]):.6g} m"
             return f"path turns in place {where}; a turn in place must be a TurnSegment"
-    return "" if any(segment.length > NO_LENGTH for segment in path.segments) else "path has no length"
+    for segment in path.segments:
+        if segment.length > NO_LENGTH:
+            return ""
+    return "path has no length"
 
 
 def _driven(path: Path, request: _Request, plans: list[SegmentPlan]) -> Trajectory:
@@ -305,14 +309,15 @@ def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
     """Return the next plan whose status is not FAIL, or the last plan; TIMED_OUT if the time is up."""
-    last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method found a motion for this gear", arrives=False)
+    last: SegmentPlan | None = None
     try:
         for last in plans:
             if last.status is not TimingStatus.FAIL:
-                break
+                return last
     except OutOfTime:
         return SegmentPlan(TimingStatus.TIMED_OUT, how="none", reason="the time was up before a motion was found")
-    return last
+    nothing = "no method found a motion for this gear"
+    return last or SegmentPlan(TimingStatus.FAIL, how="none", reason=nothing, arrives=False)
 
 
 def segment_plans(

@@ -14,7 +14,7 @@ import itertools
 import math
 import threading
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from optdock.deadline import ENDLESS
 from optdock.errors import PluginError
 from optdock.kernels import Kernel, twin_of
 from optdock.model.constant_jerk import constant_jerk
-from optdock.timing.jerk_phases import DriveBounds, MotionState, Phases, duration_of
+from optdock.timing.jerk_phases import Phases
 from optdock.timing.path_limits import CHECK_MARGIN
 from optdock.timing.reference_program import spline_phases
 
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from optdock.timing.reference_program import ReferenceStates
 
 __all__ = ["Move", "load_ruckig", "move", "split_into_moves"]
+
+_State: TypeAlias = tuple[float, float, float]  # a `MotionState`, or a plain tuple of the same numbers
+_Bounds: TypeAlias = tuple[float, float, float, float]  # `DriveBounds`, or a plain tuple of the same numbers
 
 _ABOVE = 1.0 + 1e-9  # factor on the speed limit, because ruckig refuses a target exactly at the limit
 _STILL = 1e-9  # [m/s]: a negative speed of this size is a rounding error, not a motion backwards
@@ -51,27 +54,25 @@ _LEVEL = 0.8  # share of the largest v^2: where the cap stays above it, a single
 _MIDDLE, _SHORT = 16, 6  # cells: longer pieces are split into parts of at most 16, above 6 into four, others into two
 
 
-def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: float = math.inf) -> Phases | None:
+def move(start: _State, target: _State, bounds: _Bounds, longest: float = math.inf) -> Phases | None:
     """Return the time-optimal motion between two states, or None if every motion drives backwards.
 
     The speed bound is raised to the speeds that follow from the two states; the caller checks the result.
 
     Args:
-        start: First state.
-        target: Last state.
-        bounds: Bounds of speed, acceleration, deceleration and jerk.
+        start: First state, as `MotionState`.
+        target: Last state, as `MotionState`.
+        bounds: Bounds of speed, acceleration, deceleration and jerk, as `DriveBounds`.
         longest: Largest duration of a motion [s].
     """
-    rise = max(
-        target.v + (0.5 * target.a * target.a / bounds.jerk if target.a < 0.0 else 0.0),
-        start.v + (0.5 * start.a * start.a / bounds.jerk if start.a > 0.0 else 0.0),
-    )
+    (s0, v0, a0), (s1, v1, a1), (speed, acceleration, deceleration, jerk) = start, target, bounds
+    rise = max(v1 + (0.5 * a1 * a1 / jerk if a1 < 0.0 else 0.0), v0 + (0.5 * a0 * a0 / jerk if a0 > 0.0 else 0.0))
     tool = _tool()
     given = tool.input  # ruckig copies its inputs, so lists are assigned, not modified
-    given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
-    given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
-    given.max_velocity, given.max_jerk = [max(bounds.speed, rise * _ABOVE)], [bounds.jerk]
-    given.max_acceleration, given.min_acceleration = [bounds.acceleration], [-bounds.deceleration]
+    given.current_position, given.current_velocity, given.current_acceleration = [s0], [v0], [a0]
+    given.target_position, given.target_velocity, given.target_acceleration = [s1], [v1], [a1]
+    given.max_velocity, given.max_jerk = [max(speed, rise * _ABOVE)], [jerk]
+    given.max_acceleration, given.min_acceleration = [acceleration], [-deceleration]
     try:
         tool.otg.calculate(given, tool.output)
     except tool.error:
@@ -86,7 +87,7 @@ def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: 
     return phases if _drives_forward(start, phases) else None
 
 
-def _drives_forward(start: MotionState, phases: Phases) -> bool:
+def _drives_forward(start: _State, phases: Phases) -> bool:
     _s, v, a = start
     for duration, jerk in phases:
         end_a = a + duration * jerk
@@ -122,9 +123,10 @@ _local = threading.local()
 
 
 def _tool() -> _Tool:
-    if not hasattr(_local, "tool"):
-        _local.tool = _Tool(_ruckig())
-    tool: _Tool = _local.tool
+    try:
+        tool: _Tool = _local.tool
+    except AttributeError:
+        tool = _local.tool = _Tool(_ruckig())
     return tool
 
 
@@ -143,16 +145,12 @@ class _Nodes(NamedTuple):
     0.
     """
 
-    s: list[float]
+    states: list[_State]
     v: list[float]
     a: list[float]
     time: list[float]
     jerk: list[float]
     zone: int
-
-    def state(self, i: int) -> MotionState:
-        """Return the state at node `i`."""
-        return MotionState(self.s[i], self.v[i], self.a[i])
 
 
 class Move(NamedTuple):
@@ -166,7 +164,7 @@ class Move(NamedTuple):
 
 
 def split_into_moves(
-    reference: ReferenceStates, bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
+    reference: ReferenceStates, bounds: ReferenceBounds, start: _State, deadline: Deadline = ENDLESS
 ) -> list[Move]:
     """Return moves along the reference over the whole segment, in driving order, within the limits if possible.
 
@@ -179,7 +177,7 @@ def split_into_moves(
     Raises:
         OutOfTime: If the deadline passed.
     """
-    nodes = _nodes_of(reference, start, MotionState(bounds.limits.length))
+    nodes = _nodes_of(reference, start, bounds.limits.length)
     active = _first_pieces(nodes, bounds)
     done: list[Move] = []
     while active:
@@ -193,33 +191,28 @@ def split_into_moves(
     return sorted(done)
 
 
-def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) -> _Nodes:
-    """Return the nodes of a reference between the start and the end of the segment."""
-    s, v, a, zone = reference.s, reference.v, reference.a, reference.grid.zone
-    jerk = 0.5 * np.abs(reference.curve) * np.maximum(v[:-1], v[1:])
-    durations, columns, jerks = reference.durations.tolist(), [s.tolist(), v.tolist(), a.tolist()], jerk.tolist()
-    for column, last in zip(columns, end, strict=True):
-        column.append(last)
-    durations.append(duration_of(reference.stop.phases))
-    jerks.append(np.inf)
-    launch = duration_of(reference.launch.phases)
-    if launch > 0.0:
-        columns = [[first, *column] for first, column in zip(start, columns, strict=True)]
-        durations, jerks, zone = [launch, *durations], [np.inf, *jerks], zone + 1 if zone else 0
-    all_s, all_v, all_a = columns
-    return _Nodes(all_s, all_v, all_a, list(itertools.accumulate(durations, initial=0.0)), jerks, zone)
+def _nodes_of(reference: ReferenceStates, start: _State, length: float) -> _Nodes:
+    """Return the nodes of a reference between the start and the end of a segment, which is at rest."""
+    (s, v, a, times, jerks), zone = reference.table.tolist(), reference.grid.zone
+    states, v, a = [*zip(s, v, a, strict=True), (length, 0.0, 0.0)], [*v, 0.0], [*a, 0.0]
+    if reference.launch.phases:
+        states, v, a = [start, *states], [start[1], *v], [start[2], *a]
+        times, jerks, zone = [reference.launch.phases[0][0], *times], [math.inf, *jerks], zone + 1 if zone else 0
+    return _Nodes(states, v, a, list(itertools.accumulate(times, initial=0.0)), jerks, zone)
 
 
 def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int]]:
-    """Return the pieces before and after the zone start, split further if the speed cap is not level."""
-    last = len(nodes.s) - 1
-    halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
+    """Return the pieces before and after the zone start, split further if they are long and the cap is not level."""
+    last = len(nodes.states) - 1
     pieces: list[tuple[int, int]] = []
-    for i, j in halves:
-        first, end = bounds.limits.s.searchsorted((nodes.s[i] + 1e-9, nodes.s[j] - 1e-9)).tolist()
-        cap = bounds.speed_squared[first:end]
-        level = first >= end or np.minimum.reduce(cap) > _LEVEL * np.maximum.reduce(cap)
-        pieces.extend([(i, j)] if level else _equal_parts(i, j, -(-(j - i) // _MIDDLE)))
+    for i, j in ((0, nodes.zone), (nodes.zone, last)) if 0 < nodes.zone < last else ((0, last),):
+        count = -(-(j - i) // _MIDDLE)
+        if count > 1:
+            first, end = bounds.limits.s.searchsorted((nodes.states[i][0] + 1e-9, nodes.states[j][0] - 1e-9)).tolist()
+            cap = bounds.speed_squared[first:end]
+            if first >= end or np.minimum.reduce(cap) > _LEVEL * np.maximum.reduce(cap):
+                count = 1
+        pieces += _equal_parts(i, j, count) if count > 1 else ((i, j),)
     return pieces
 
 
@@ -234,8 +227,8 @@ def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tup
     if cells > _SHORT or tried is None:
         count = -(-cells // _MIDDLE) if cells > _MIDDLE else 4 if cells > _SHORT else 2
         return _equal_parts(i, j, count)
-    s, worst = nodes.s, tried.worst
-    middle = min(range(i + 1, j), key=lambda n: abs(s[n] - worst))
+    states, worst = nodes.states, tried.worst
+    middle = min(range(i + 1, j), key=lambda n: abs(states[n][0] - worst))
     return [(i, middle), (middle, j)]
 
 
@@ -254,28 +247,32 @@ def _try_pieces(
         full = None if gentle and j - i > 1 else _full_move(nodes, bounds, i, j)
         own = None
         if j - i == 1 and not (gentle or full):
-            own = spline_phases(*(np.array(column[i : i + 2]) for column in (nodes.s, nodes.v, nodes.a)))
-        moves += [((i, j), phases) for phases in (gentle, full, own) if phases]
-    found = _evaluate(bounds, [(nodes.state(ends[0]), phases) for ends, phases in moves]) if moves else []
+            own = spline_phases(*np.array(nodes.states[i : i + 2]).T)
+        for phases in (gentle, full, own):
+            if phases:
+                moves += (((i, j), phases),)
     best: dict[tuple[int, int], Move | None] = dict.fromkeys(active)
+    if not moves:
+        return best
+    found = _evaluate(bounds, [(nodes.states[ends[0]], phases) for ends, phases in moves])
     for (ends, phases), (excess, worst) in zip(moves, found, strict=True):
         known = best[ends]
         if known is None or (known.excess > 1.0 and excess < known.excess):
-            best[ends] = Move(nodes.s[ends[0]], nodes.s[ends[1]], phases, excess, worst)
+            best[ends] = Move(nodes.states[ends[0]][0], nodes.states[ends[1]][0], phases, excess, worst)
     return best
 
 
 def _full_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
     """Return the time-optimal move between two nodes, unless it takes much longer than the reference."""
     drive = bounds.limits.drive
-    most = DriveBounds(max(nodes.v[i : j + 1]), drive.max_acceleration, drive.max_deceleration, drive.max_jerk)
-    return _short_enough(nodes, (i, j), most)
+    most = max(nodes.v[i : j + 1]), drive.max_acceleration, drive.max_deceleration, drive.max_jerk
+    return move(nodes.states[i], nodes.states[j], most, _longest(nodes, i, j))
 
 
 def _gentle_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
     """Return a move with slightly more jerk and acceleration than the reference, which stays close to its speeds."""
     drive = bounds.limits.drive
-    if i == 0 or j == len(nodes.s) - 1 or nodes.time[j] - nodes.time[i] > _GENTLE_BELOW:
+    if i == 0 or j == len(nodes.states) - 1 or nodes.time[j] - nodes.time[i] > _GENTLE_BELOW:
         return None
     factor, more = _GENTLE_JERK
     jerk = factor * max(nodes.jerk[i:j]) + more * drive.max_jerk
@@ -285,14 +282,13 @@ def _gentle_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phas
     rise = min(drive.max_acceleration, factor * max(accelerations) + more * drive.max_acceleration)
     fall = min(drive.max_deceleration, -factor * min(accelerations) + more * drive.max_deceleration)
     least = _GENTLE_LEAST_DRIVE * drive.max_acceleration
-    gentle = DriveBounds(max(nodes.v[i : j + 1]), max(rise, least), max(fall, least), jerk)
-    return _short_enough(nodes, (i, j), gentle)
+    gentle = max(nodes.v[i : j + 1]), max(rise, least), max(fall, least), jerk
+    return move(nodes.states[i], nodes.states[j], gentle, _longest(nodes, i, j))
 
 
-def _short_enough(nodes: _Nodes, ends: tuple[int, int], box: DriveBounds) -> Phases | None:
-    i, j = ends
-    longest = _LONGEST_FACTOR * (nodes.time[j] - nodes.time[i]) + _LONGEST_MORE
-    return move(nodes.state(i), nodes.state(j), box, longest)
+def _longest(nodes: _Nodes, i: int, j: int) -> float:
+    """Return the largest duration of a move between two nodes [s]."""
+    return _LONGEST_FACTOR * (nodes.time[j] - nodes.time[i]) + _LONGEST_MORE
 
 
 class _Samples(NamedTuple):
@@ -321,41 +317,44 @@ class _Samples(NamedTuple):
         return speed, acceleration
 
 
-_KERNEL = Kernel("optdock_move_excess", sizes=6, numbers=5)
+_KERNEL = Kernel("optdock_move_excess", sizes=5, numbers=6)
 
 
-def _evaluate_native(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    n, turning, (along, jumps) = len(moves), bounds.limits.turning, bounds.packed
-    rows = [phase for _start, own in moves for phase in own]
-    phases, counts = np.array(rows), [len(own) for _start, own in moves]
-    total, nodes, found = len(rows), bounds.limits.s.size, np.empty((n, 2))
-    room = total + int(sum([row[0] for row in rows]) / _SAMPLE) + 1
+def _evaluate_native(bounds: ReferenceBounds, moves: list[tuple[_State, Phases]]) -> list[tuple[float, float]]:
+    n, limits, phases, time = len(moves), bounds.limits, 0, 0.0
+    given: list[float] = []
+    for start, own in moves:
+        given += (len(own), *start)
+        for phase in own:
+            given += phase
+            phases += 1
+            time += phase[0]
+    bound = limits.turning[0].bound if limits.turning else math.inf
+    room = phases + int(time / _SAMPLE) + 1
+    found = np.empty(2 * n + 6 * room)
     done = _KERNEL(
-        (n, total, nodes, bounds.jumps.size, len(turning), room),
-        (_SAMPLE, _CRAWL, bounds.relief, 1.0 / (1.0 - CHECK_MARGIN), turning[0].bound if turning else 0.0),
+        (n, 4 * n + 2 * phases, limits.s.size, bounds.jumps.size, room),
+        (_SAMPLE, _CRAWL, bounds.relief, 1.0 / (1.0 - CHECK_MARGIN), bound, limits.caps.steering),
         (
-            (np.array(counts), n),
-            (np.array([start for start, _own in moves]), 3 * n),
-            (phases, 2 * total),
-            (along, 7 * nodes - 6),
-            (jumps, 5 * bounds.jumps.size),
-            (found, 2 * n),
-            (np.empty(6 * room), 6 * room),
+            (np.array(given, dtype=np.float64), 4 * n + 2 * phases),
+            (limits.table, limits.table.size),
+            (bounds.jumps, bounds.jumps.size),
+            (found, found.size),
         ),
     )
     if done < 0:
-        raise ValueError("moves: must have phases of finite durations")
-    return [(excess, place) for excess, place in found.tolist()]
+        raise ValueError("moves: must have phases of finite durations, and limits with jumps at inner nodes")
+    return list(zip(*found[: 2 * n].reshape(2, n).tolist(), strict=True))
 
 
-def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
+def _evaluate(bounds: ReferenceBounds, moves: list[tuple[_State, Phases]]) -> list[tuple[float, float]]:
     """Return the largest excess of every move, and its last position, vectorized over all moves."""
     # The last bits of a cube root, which turning limits of order 2 need, depend on the library.
-    has_roots = any(limit.order != 1 for limit in bounds.limits.turning)
+    has_roots = bounds.limits.drive.max_lateral_jerk < math.inf
     return (_evaluate_numpy if has_roots else _evaluate_chosen)(bounds, moves)
 
 
-def _evaluate_numpy(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
+def _evaluate_numpy(bounds: ReferenceBounds, moves: list[tuple[_State, Phases]]) -> list[tuple[float, float]]:
     phases, counts = _phase_rows(moves)
     number_of = phases[:, 5].astype(np.int64)
     owner = np.repeat(np.arange(number_of.size), number_of)
@@ -379,7 +378,7 @@ def _evaluate_numpy(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phas
 _evaluate_chosen = twin_of(_evaluate_native)(_evaluate_numpy)
 
 
-def _phase_rows(moves: list[tuple[MotionState, Phases]]) -> tuple[FloatArray, FloatArray]:
+def _phase_rows(moves: list[tuple[_State, Phases]]) -> tuple[FloatArray, FloatArray]:
     """Return duration, jerk, s, v, a and number of samples of every phase, and the number of phases of every move."""
     rows: list[tuple[float, float, float, float, float, int]] = []
     for start, phases in moves:

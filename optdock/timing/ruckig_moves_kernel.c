@@ -12,19 +12,16 @@ typedef struct {
     double s, v, a;
 } State;
 
-/* Limits along the segment: places s (nodes,), and curvature, rate and slowness at the left end of every cell with
- * their slopes, (3, nodes - 1) each. */
+/* Limits along the segment by nodes (nodes,) or cells (nodes - 1,), see `PathLimits`: places; curvature, rate and
+ * slowness at the left end of every cell with their slopes, (3, nodes - 1) each. Indices of nodes with a jump of the
+ * curvature rate, (jumps,). */
 typedef struct {
-    const double *s, *left, *slope;
-    int64_t nodes, is_limited; /* whether there is a bound of the yaw acceleration */
+    const double *s, *left, *slope, *curvature, *rate_left, *rate_right, *slowness_left, *slowness_right;
+    const int64_t *jump;
+    int64_t nodes, jumps;
     double bound, relief, share; /* [rad/s^2], [m], factor on the excess beyond the relief */
+    int is_steered;
 } Limits;
-
-/* Jumps of the curvature rate, (5, count): place, curvature, rates on both sides, slowness. */
-typedef struct {
-    const double *table;
-    int64_t count;
-} Jumps;
 
 /* Samples of one move, and their places as increasing numbers. */
 typedef struct {
@@ -62,10 +59,25 @@ static int64_t number_below(const double *values, int64_t count, double x, int i
     return low;
 }
 
-/* Ratio of the yaw acceleration to its bound; 0 without a bound. */
+/* Number of jumps below x, or at most x. */
+static int64_t jumps_below(const Limits *limits, double x, int includes_equal)
+{
+    int64_t low = 0, count = limits->jumps;
+    while (low < count) {
+        int64_t middle = low + (count - low) / 2;
+        double place = limits->s[limits->jump[middle]];
+        if (place < x || (includes_equal && place == x))
+            low = middle + 1;
+        else
+            count = middle;
+    }
+    return low;
+}
+
+/* Ratio of the yaw acceleration to its bound; 0 if the bound is infinite. */
 static double turning_ratio(const Limits *limits, double curvature, double rate, double v, double a)
 {
-    return limits->is_limited ? most(0.0, fabs(a * curvature + v * v * rate) * (1.0 / limits->bound)) : 0.0;
+    return isinf(limits->bound) ? 0.0 : most(0.0, fabs(a * curvature + v * v * rate) * (1.0 / limits->bound));
 }
 
 static double checked(const Limits *limits, double s, double excess)
@@ -104,19 +116,18 @@ static State reached(State sample, double jerk, double place, Settings set)
 }
 
 /* Raise the excess of the last sample before each jump to the excess at the jump. */
-static void add_jumps(const Limits *limits, Jumps jumps, Samples *samples, double shift, Settings set)
+static void add_jumps(const Limits *limits, Samples *samples, double shift, Settings set)
 {
-    const double *places = jumps.table, *curvature = places + jumps.count, *right = curvature + jumps.count;
-    const double *left = right + jumps.count, *slowness = left + jumps.count;
-    int64_t first = number_below(places, jumps.count, samples->states[0].s, 0);
-    int64_t last = number_below(places, jumps.count, samples->states[samples->count - 1].s, 1);
-    for (int64_t k = first; k < last; k++) {
-        int64_t before = number_below(samples->key, samples->count, places[k] + shift, 0) - 1;
+    int64_t last = jumps_below(limits, samples->states[samples->count - 1].s, 1);
+    for (int64_t k = jumps_below(limits, samples->states[0].s, 0); k < last; k++) {
+        int64_t node = limits->jump[k], before = number_below(samples->key, samples->count, limits->s[node] + shift, 0) - 1;
         before = before < 0 ? 0 : before;
-        State at = reached(samples->states[before], samples->jerk[before], places[k], set);
-        double turning = most(turning_ratio(limits, curvature[k], right[k], at.v, at.a),
-                              turning_ratio(limits, curvature[k], left[k], at.v, at.a));
-        double excess = checked(limits, places[k], most(sqrt(turning), at.v * slowness[k]));
+        State at = reached(samples->states[before], samples->jerk[before], limits->s[node], set);
+        double turning = most(turning_ratio(limits, limits->curvature[node], limits->rate_right[node - 1], at.v, at.a),
+                              turning_ratio(limits, limits->curvature[node], limits->rate_left[node], at.v, at.a));
+        double slowness = most(limits->slowness_right[node - 1], limits->slowness_left[node]);
+        double excess = most(sqrt(turning), limits->is_steered ? at.v * slowness : 0.0);
+        excess = checked(limits, limits->s[node], excess);
         samples->excess[before] = most(samples->excess[before], excess);
     }
 }
@@ -149,47 +160,52 @@ static int sample(const Limits *limits, State from, const double *phases, int64_
 
 /* Compute the largest excess of n moves and the last place where it is attained.
  *
- *   sizes      n, number of phases, nodes >= 2, jumps, whether the yaw acceleration has a bound, largest number of
- *              samples of a move
- *   numbers    sampling period [s], least speed [m/s], relief [m], factor on the excess, bound [rad/s^2]
- *   counts     (n,), phases of every move
- *   starts     (n, 3), distance, speed and acceleration at the start of every move
- *   phases     (phases, 2), duration [s] and jerk [m/s^3], move after move
- *   limits     s (nodes,), then left and slope (3, nodes - 1) each, see `Limits`
- *   jumps      (5, jumps), see `Jumps`
- *   found      out, (n, 2), excess and place [m]
- *   work       6 times the largest number of samples
+ *   sizes      n, size of `moves`, nodes >= 2, jumps, largest number of samples of a move
+ *   numbers    sampling period [s], least speed [m/s], relief [m], factor on the excess, bound [rad/s^2], whether the
+ *              steering rate is limited
+ *   moves      for every move the number of phases, distance, speed and acceleration at its start, and duration [s] and
+ *              jerk [m/s^3] of its phases
+ *   along      (13 nodes - 9,), see `PathLimits.table`
+ *   jumps      (jumps,), nodes
+ *   found      out, (2, n), excess and place [m]; then work, 6 times the largest number of samples
  *
- * Return 0, or -1 if a size is wrong. */
-int64_t optdock_move_excess(int64_t n, int64_t total, int64_t nodes, int64_t jumps, int64_t is_limited, int64_t room,
-                            double period, double crawl, double relief, double share, double bound,
-                            const int64_t *counts, const double *starts, const double *phases, const double *along,
-                            const double *jump_table, double *found, double *work)
+ * Return 0, or -1 if a size or a jump is wrong. */
+int64_t optdock_move_excess(int64_t n, int64_t size, int64_t nodes, int64_t jumps, int64_t room, double period,
+                            double crawl, double relief, double share, double bound, double is_steered,
+                            const double *moves, const double *along, const int64_t *jump_nodes, double *found)
 {
     if (nodes < 2)
         return -1;
-    const double *left = along + nodes;
-    Limits limits = {along, left, left + 3 * (nodes - 1), nodes, is_limited, bound, relief, share};
-    Settings set = {period, crawl, along[nodes - 1], 2.0 * along[nodes - 1]};
-    Samples samples = {(State *)work, work + 3 * room, work + 4 * room, work + 5 * room, 0};
-    int64_t first = 0;
-    for (int64_t i = 0; i < n; i++) {
-        State from = {starts[3 * i], starts[3 * i + 1], starts[3 * i + 2]};
-        double shift = set.stride * (double)i;
-        if (counts[i] < 1 || counts[i] > total - first ||
-            !sample(&limits, from, phases + 2 * first, counts[i], shift, room, set, &samples))
+    for (int64_t j = 0; j < jumps; j++)
+        if (jump_nodes[j] < 1 || jump_nodes[j] > nodes - 2)
             return -1;
-        first += counts[i];
-        if (jumps > 0)
-            add_jumps(&limits, (Jumps){jump_table, jumps}, &samples, shift, set);
+    int64_t cells = nodes - 1;
+    const double *left = along + nodes, *curvature = left + 6 * cells, *right = curvature + nodes;
+    Limits limits = {along,         left,  left + 3 * cells, curvature, left + cells,       right, right + cells,
+                     right + 2 * cells, jump_nodes, nodes,   jumps,     bound,              relief, share,
+                     is_steered != 0.0};
+    Settings set = {period, crawl, along[nodes - 1], 2.0 * along[nodes - 1]};
+    double *work = found + 2 * n;
+    Samples samples = {(State *)work, work + 3 * room, work + 4 * room, work + 5 * room, 0};
+    for (int64_t i = 0; i < n; i++) {
+        if (size < 4 || !(moves[0] >= 1.0 && 2.0 * moves[0] <= (double)(size - 4)))
+            return -1;
+        int64_t count = (int64_t)moves[0];
+        State from = {moves[1], moves[2], moves[3]};
+        double shift = set.stride * (double)i;
+        if (!sample(&limits, from, moves + 4, count, shift, room, set, &samples))
+            return -1;
+        moves += 4 + 2 * count;
+        size -= 4 + 2 * count;
+        add_jumps(&limits, &samples, shift, set);
         double worst = samples.excess[0], place = NAN;
         for (int64_t k = 1; k < samples.count; k++)
             worst = most(worst, samples.excess[k]);
         for (int64_t k = 0; k < samples.count; k++)
             if (samples.excess[k] >= worst)
                 place = samples.states[k].s;
-        found[2 * i] = worst;
-        found[2 * i + 1] = place;
+        found[i] = worst;
+        found[n + i] = place;
     }
     return 0;
 }

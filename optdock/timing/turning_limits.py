@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["TurningLimit", "turning_limits", "turning_ratio"]
 
-_ORDERS = {"max_yaw_acceleration": 1, "max_lateral_jerk": 2}
 _HUGE = 1e12  # replaces a larger bound, so that products with it do not overflow
 
 
@@ -105,8 +104,12 @@ class TurningLimit(NamedTuple):
 
 def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
     """Return the finite turning limits."""
-    found = [(name, order, float(getattr(drive, name))) for name, order in _ORDERS.items()]
-    return tuple([TurningLimit(*limit) for limit in found if math.isfinite(limit[2])])
+    found: tuple[TurningLimit, ...] = ()
+    if drive.max_yaw_acceleration < math.inf:
+        found += (TurningLimit("max_yaw_acceleration", 1, drive.max_yaw_acceleration),)
+    if drive.max_lateral_jerk < math.inf:
+        found += (TurningLimit("max_lateral_jerk", 2, drive.max_lateral_jerk),)
+    return found
 
 
 def turning_ratio(

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from optdock.plugins.interfaces import TimingStatus
 from optdock.plugins.parameters import PluginParameters
-from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, state_after
+from optdock.timing.jerk_phases import DriveBounds, MotionState, Phases, state_after
 from optdock.timing.plan_checks import SegmentPlan, arrived_plan
 from optdock.timing.retry_strategy import SegmentTimeParameterizer
 from optdock.timing.ruckig_moves import move
@@ -97,7 +97,7 @@ def windowed_plans(
         if found is None:
             break  # the motion ends before the end of the segment
         phases.extend(found)
-    yield arrived_plan(limits, Motion.of(start, phases), "windowed")
+    yield arrived_plan(limits, start, tuple(phases), "windowed")
 
 
 def _windows(limits: PathLimits, settings: WindowedParameters, deadline: Deadline) -> list[Window]:

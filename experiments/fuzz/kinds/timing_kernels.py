@@ -108,7 +108,7 @@ def _programs(case: Case) -> Verdict:
     found = []
     for lane in LANES:
         with using_kernels(lane), np.errstate(all="ignore"):
-            iterate = Iterate.of(c)
+            iterate = Iterate(c)
             found.append([iterate := advanced(program, iterate, most) for most in (1, 7, 40)])
     same = all(is_equal(*pair) for pair in zip(*found, strict=True))
     return Verdict("equal programs") if same else Verdict("kernel differs", f"program: {case['program']}")

@@ -77,15 +77,15 @@ def test_the_reference_keeps_its_limits_and_its_ends(make, all_limits, seed, sta
     _bounds, found = _solved(make, all_limits, seed, start)
     grid, launch, stop = found.grid, found.launch, found.stop
     assert found.iterations < 30
-    ends = [(found.s[i], found.v[i], found.a[i]) for i in (0, -1)]
+    ends = [(found.table[0][i], found.table[1][i], found.table[2][i]) for i in (0, -1)]
     assert ends == [tuple(launch.state), tuple(stop.state)]
-    assert np.all(found.v[1:-1] ** 2 <= grid.bound[1:-1] * 1.01)
-    assert found.a.max() <= all_limits.max_acceleration * 1.01
-    assert found.a.min() >= -all_limits.max_deceleration * 1.01
-    jerk = 0.5 * np.abs(found.curve) * np.maximum(found.v[:-1], found.v[1:])
+    assert np.all(found.table[1][1:-1] ** 2 <= grid.bound[1:-1] * 1.01)
+    assert found.table[2].max() <= all_limits.max_acceleration * 1.01
+    assert found.table[2].min() >= -all_limits.max_deceleration * 1.01
+    jerk = found.table[4, :-1]
     assert jerk.max() <= all_limits.max_jerk * 1.01
     for rate in grid.rate:
-        yaw = np.abs(grid.curvature * found.a + rate * found.v**2)
+        yaw = np.abs(grid.curvature * found.table[2] + rate * found.table[1] ** 2)
         assert np.all(yaw[1:-1] <= all_limits.max_yaw_acceleration)
 
 
@@ -93,7 +93,10 @@ def test_the_reference_keeps_its_limits_and_its_ends(make, all_limits, seed, sta
 def test_the_reference_uses_up_the_lateral_jerk_and_keeps_it(make, all_limits, seed):
     _bounds, found = _solved(make, replace(all_limits, max_lateral_jerk=0.1), seed)
     grid = found.grid
-    sideways = [np.abs(found.v * (2.0 * grid.curvature * found.a + rate * found.v**2)) for rate in grid.rate]
+    sideways = [
+        np.abs(found.table[1] * (2.0 * grid.curvature * found.table[2] + rate * found.table[1] ** 2))
+        for rate in grid.rate
+    ]
     assert 0.09 < np.max(np.maximum(*sideways)[1:-1]) <= 0.1 * (1.0 - 0.02) * 1.01
     assert found.iterations < 35
 
@@ -124,7 +127,7 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     lower[[0, 1, -2, -1]] = upper[[0, 1, -2, -1]] = start[[0, 1, -2, -1]]
     best = solver(x0=np.clip(start, lower, upper), lbx=lower, ubx=upper, lbg=-np.inf, ubg=0.0)
     assert solver.stats()["success"]
-    ours = np.sum(2.0 * grid.steps / (found.v[:-1] + found.v[1:]))
+    ours = np.sum(2.0 * grid.steps / (found.table[1][:-1] + found.table[1][1:]))
     x = np.append(launch.state.v**2, applied(spline.right_value, np.array(best["x"]).ravel()))
     theirs = np.sum(2.0 * grid.steps / (np.sqrt(x[:-1]) + np.sqrt(x[1:])))
     assert ours == pytest.approx(theirs, rel=4e-3)
@@ -133,11 +136,11 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
 def test_spline_phases_reproduce_the_knots(make, all_limits):
     _bounds, found = _solved(make, all_limits, 2)
     state = found.launch.state
-    for n, phase in enumerate(spline_phases(found.s, found.v, found.a)):
+    for n, phase in enumerate(spline_phases(*found.table[:3])):
         state = state_after(state, *phase)
         if n % 2:
             knot = (n + 1) // 2
-            assert state == pytest.approx((found.s[knot], found.v[knot], found.a[knot]), abs=1e-9)
+            assert state == pytest.approx((found.table[0][knot], found.table[1][knot], found.table[2][knot]), abs=1e-9)
 
 
 def test_jerk_step_bands_are_the_squared_steps_of_the_second_derivative():

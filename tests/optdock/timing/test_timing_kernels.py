@@ -13,9 +13,9 @@ from experiments.fuzz.kinds.timing_kernels import LANES, judge
 from optdock.kernels import using_kernels
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Direction
-from optdock.timing import ruckig_moves
+from optdock.timing import path_limits, ruckig_moves
 from optdock.timing.jerk_phases import MotionState
-from optdock.timing.path_limits import ReferenceBounds, SpeedCaps, Tightening, limits_along, segment_limits
+from optdock.timing.path_limits import PathLimits, ReferenceBounds, SpeedCaps, Tightening, limits_along, segment_limits
 from optdock.timing.reference_program import _prepared_native, prepared
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -40,6 +40,32 @@ CASES = {
     "tightened": ({"max_lateral_jerk": np.inf}, {"tightenings": (Tightening(0.4, 1.0, 0.5),)}, MotionState()),
     "smooth": ({}, {"smooth": True}, MotionState()),
 }
+
+
+@pytest.mark.parametrize("seed", range(80))
+def test_limits_of_both_lanes_are_equal_to_the_last_bit(seed, make, all_limits):
+    """Also with knots and a start of the zone within rounding of each other, and without some of the limits."""
+    rng = np.random.default_rng([28, seed])
+    pieces = int(rng.integers(1, 40))
+    curvature = rng.uniform(-2.0, 2.0, pieces + 1) * rng.choice([0.0, 1.0], pieces + 1)
+    lengths = rng.exponential(rng.choice([1e-12, 0.01, 1.0]), pieces) + 1e-13
+    lengths[-1] += 1e-3
+    spline = make.spline(lengths, curvature).spline
+    changes = {name: np.inf for name in ("max_yaw_acceleration", "max_wheel_speed") if rng.uniform() < 0.4}
+    changes |= {"wheelbase": 0.5, "max_steering_rate": 1.0} if rng.uniform() < 0.5 else {}
+    caps = SpeedCaps(replace(all_limits, max_lateral_jerk=np.inf, **changes), Direction.REVERSE)
+    zone_start = float(rng.choice([0.0, spline.length, spline.length * rng.uniform(), rng.choice(spline.knots)]))
+    zone_start = min(max(zone_start + float(rng.choice([-1e-12, 0.0, 0.0, 1e-12])), 0.0), spline.length)
+    twin, native = both(path_limits._clothoid_chosen, spline, caps, zone_start, float(rng.choice([0.1, np.inf])))
+    assert is_equal((twin,), (native,))
+    assert PathLimits(native, caps, 0.1).length == spline.length
+
+
+@pytest.mark.parametrize(("count", "room"), [(2, 10), (1, 1000), (2, 1)])
+def test_limits_with_more_nodes_than_room_are_refused(count, room):
+    ends, table = np.array([0.0, 1.0]), np.empty(13 * room + count - 8)
+    given = ((ends[:count], count), (ends[:count], count), (table, table.size))
+    assert path_limits._KERNEL((count, room), (0.005, 1.0, *[1.0] * 9), given) == -1
 
 
 @pytest.fixture(params=CASES)
@@ -111,32 +137,31 @@ def test_a_reference_that_takes_longer_than_estimated_gets_more_room(case, monke
 def test_nan_and_infinite_bounds_end_both_lanes(case, name):
     """NaN may differ between the lanes, but neither writes beyond its arrays; the sanitizers run this test."""
     bounds, start = case
-    owner = bounds if name == "speed_squared" else bounds.limits
+    spoiled = getattr(bounds if name == "speed_squared" else bounds.limits, name)
     for wrong in (np.nan, 0.0, np.inf):
-        spoiled = getattr(owner, name).copy()
         spoiled[spoiled.size // 2] = wrong
-        setattr(owner, name, spoiled)
         with np.errstate(all="ignore"):
             found = _prepared_native(bounds, start)
         assert found.grid is None or found.grid.steps.size == found.program.m
 
 
-@pytest.mark.parametrize("name", ["speed_squared", "steepest", "rate_left", "curvature"])
-def test_bounds_of_wrong_sizes_are_an_error(case, name):
+@pytest.mark.parametrize("cut", ["bounds", "limits"])
+def test_tables_of_wrong_sizes_are_an_error(case, cut):
     bounds, start = case
-    owner = bounds if name == "speed_squared" else bounds.limits
-    setattr(owner, name, getattr(owner, name)[:-1].copy())
-    with pytest.raises(ValueError, match=r"array . must be contiguous with|could not be broadcast"):
+    owner = bounds if cut == "bounds" else bounds.limits
+    owner.table = owner.table[:-1].copy()
+    with pytest.raises(ValueError, match=r"array . must be contiguous with"):
         _prepared_native(bounds, start)
 
 
 @pytest.mark.parametrize("jump", [-1, 0, 10**9])
 def test_a_jump_that_is_no_inner_node_is_an_error(case, jump):
     bounds, start = case
-    assert bounds.packed
     bounds.jumps = np.array([jump])
     with pytest.raises(ValueError, match="jumps at inner nodes"):
         _prepared_native(bounds, start)
+    with pytest.raises(ValueError, match="jumps at inner nodes"):
+        ruckig_moves._evaluate_native(bounds, [(start, ((0.1, 0.0),))])
 
 
 def drawn_moves(rng, length):
