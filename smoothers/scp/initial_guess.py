@@ -24,7 +24,7 @@ from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import clipped, limit_rate
 from smoothers.scp.loop import SearchGuess, evaluated
 from smoothers.scp.nlp import with_intervals
-from smoothers.scp.qp_step import Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
+from smoothers.scp.qp_step import Linearization, Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
 from smoothers.scp.rollout import Variables, in_order, roll_out, sensitivity
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ class InitialGuesses:
     pool: ProgramPool = field(default_factory=pool_of_this_thread)  # convex programs, for tracking
     # whether there is no time for another iteration; called before and within tracking
     is_late: Callable[[], bool] = never_late
+    # iterates of guesses, which a search that begins with one of them does not compute again
+    _known: list[tuple[Variables, Iterate]] = field(default_factory=list, init=False, repr=False)
 
     @property
     def first(self) -> SearchGuess:
@@ -95,12 +97,19 @@ class InitialGuesses:
             left, settings.trust_region_near, settings.proximal_near / self.nlp.radius, settings.patience
         )
 
-    @cached_property
+    @property
     def fitted(self) -> Variables:
         """Smoothed least-squares fit to the input's headings (S9), within the bounds."""
+        return self._fit.variables
+
+    @cached_property
+    def _fit(self) -> _Fit:
         nlp, lengths = self.nlp, self.nlp.lengths
         turned = nlp.basis.fit @ (nlp.traced.headings - nlp.ends.start[2])
-        return clipped(Variables(turned / lengths[nlp.basis.knot_gear], lengths.copy()), nlp.inner_bounds)
+        variables = clipped(Variables(turned / lengths[nlp.basis.knot_gear], lengths.copy()), nlp.inner_bounds)
+        driven = self._driven(variables)
+        missed = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
+        return _Fit(variables, largest_deviation(nlp, driven), missed)
 
     @cached_property
     def pursued(self) -> Variables:
@@ -114,7 +123,7 @@ class InitialGuesses:
         """Drivable path whose positions are nearest to the input in the least-squares sense (S22)."""
         return track(self.nlp, self.pool, self._untracked, self.trust_region, self.is_late)
 
-    @cached_property
+    @property
     def trust_region(self) -> float:
         """Initial bound on heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
@@ -124,10 +133,9 @@ class InitialGuesses:
     @cached_property
     def _untracked(self) -> Variables:
         """The fit, or the pursuit if the fit deviates too far from the input."""
-        settings, driven = self.nlp.settings.guess, self._fit_driven
-        turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
-        is_near = self._fit_deviation < settings.astray and turned < settings.turned_away
-        return self.fitted if is_near else self.pursued
+        settings, fit = self.nlp.settings.guess, self._fit
+        is_near = fit.deviation < settings.astray and fit.turned < settings.turned_away
+        return fit.variables if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
@@ -135,14 +143,14 @@ class InitialGuesses:
         settings = self.nlp.settings.guess
         tracked, untracked = largest_deviation(self.nlp, self._driven(self.tracked)), self._untracked
         is_fitted = untracked is self.fitted
-        other = self._fit_deviation if is_fitted else largest_deviation(self.nlp, self._driven(untracked))
+        other = self._fit.deviation if is_fitted else largest_deviation(self.nlp, self._driven(untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
         """The fit or the pursuit, unless it collides or misses the goal and the tracked path is better."""
         nlp, first = self.nlp, self._untracked
-        is_near = first is self.fitted and self._fit_deviation < nlp.settings.guess.off_the_input
+        is_near = first is self.fitted and self._fit.deviation < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
         begun = self._evaluated(first)
@@ -155,21 +163,9 @@ class InitialGuesses:
         return self.tracked if does_better else first
 
     def _evaluated(self, variables: Variables) -> Iterate:
-        """Return the iterate of variables, which a search that begins with them does not compute again."""
-        self._known.append((variables, evaluated(self.nlp, variables)[0]))
-        return self._known[-1][1]
-
-    @cached_property
-    def _known(self) -> list[tuple[Variables, Iterate]]:
-        return []
-
-    @cached_property
-    def _fit_driven(self) -> Rollout:
-        return self._driven(self.fitted)
-
-    @cached_property
-    def _fit_deviation(self) -> float:
-        return largest_deviation(self.nlp, self._fit_driven)
+        found = evaluated(self.nlp, np.concatenate(variables))
+        self._known.append((variables, found))
+        return found
 
     def _driven(self, variables: Variables) -> Rollout:
         return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
@@ -184,6 +180,14 @@ class InitialGuesses:
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         begun = next((iterate for known, iterate in self._known if known is variables), None)
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience, begun)
+
+
+class _Fit(NamedTuple):
+    """The fit to the headings."""
+
+    variables: Variables
+    deviation: float  # largest distance from the input [m]
+    turned: float  # error of the heading at the goal [rad]
 
 
 class EarlierResult(NamedTuple):
@@ -382,7 +386,7 @@ def track(
     least_squares = LeastSquares.of(nlp)
     current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
     penalties = Penalties(0.0, settings.goal_weight)
-    around: Subproblem | None = None
+    around: Linearization | None = None
     for _ in range(settings.most_steps):
         if is_late():
             break
@@ -437,13 +441,14 @@ class LeastSquares:
         rollout = roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
         return _TrackedPath(variables, rollout, _merit_of(self, variables, rollout))
 
-    def linearized(self, current: _TrackedPath) -> Subproblem:
+    def linearized(self, current: _TrackedPath) -> Linearization:
         """Return the convex model at an iterate, without clearance."""
         basis, (variables, rollout, _) = self.nlp.basis, current
         by = sensitivity(basis, variables, rollout)
         goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), self.nlp.ends.error(rollout)
         motion, no_rows = _without_clearance(basis.size)
-        return Subproblem(variables, _model_of(self, current, by), motion, goal, by.yaw[self.trusted], no_rows)
+        model, headings = _model_of(self, current, by), by.yaw[self.trusted]
+        return Linearization.of(basis, Subproblem(variables, model, motion, goal, headings, no_rows))
 
     def residuals(self, rollout: Rollout) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Yield the axis, Shape (num_nodes, 2), the residuals and their weights, across the input and along it."""

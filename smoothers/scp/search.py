@@ -250,6 +250,8 @@ class IterationTimes:
         self.iteration = self.certificate = 0.0
         self._certificate_was_measured = False
         self.pace = math.inf
+        share, most = settings.margin
+        self._margin = min(share * deadline.seconds, most)
 
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
         """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
@@ -282,12 +284,9 @@ class IterationTimes:
         """Whether the remaining time is too short for an iteration."""
         return not self.deadline.fits(self.iteration)
 
-    def reserve(self, *, has_candidate: bool) -> float:
-        """Return the time [s] reserved for the certificate of the candidate, with a margin for later stages."""
-        if not has_candidate:
-            return 0.0
-        share, most = self._settings.margin
-        return self._settings.certificate_reserve * self.certificate + min(share * self.deadline.seconds, most)
+    def reserve(self) -> float:
+        """Return the time [s] reserved for the certificate of a candidate, with a margin for later stages."""
+        return self._settings.certificate_reserve * self.certificate + self._margin
 
     def is_late(self) -> bool:
         """Whether a running certificate must be abandoned because it is too late."""
@@ -512,28 +511,27 @@ class Solver:
 
     def _must_settle(self) -> bool:
         """Whether the current step must be abandoned because of the time for a certificate."""
-        return not self.deadline.fits(self._reserve)
+        return not self._leaves(0.0)
 
-    @property
-    def _reserve(self) -> float:
-        """Time [s] for the certificate of the candidate, or of an iterate that is better than the incumbent."""
-        is_certificate_due = self._candidate is not None or self.outcome.incumbent is not None
-        return self.times.reserve(has_candidate=is_certificate_due)
+    def _leaves(self, seconds: float) -> bool:
+        """Whether time is left for this work [s], and for the certificate of a path better than the incumbent."""
+        if self._candidate is None and self.outcome.incumbent is None:
+            return self.deadline.fits(seconds)
+        return self.deadline.fits(seconds + self.times.reserve())
 
     def _consider(self, iterate: Iterate) -> None:
-        best = self._candidate.cost if self._candidate is not None else math.inf
-        held = self.outcome.incumbent.cost if self.outcome.incumbent is not None else math.inf
-        if iterate.feasible and iterate.cost < min(best, held):
+        rival = self._candidate or self.outcome.incumbent
+        if iterate.feasible and (rival is None or iterate.cost < rival.cost):
             self._candidate = iterate
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
         """Certify the candidate when little time remains, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
-        short = not self.deadline.fits(step + self._reserve)
+        short = not self._leaves(step)
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
-            short = not self.deadline.fits(step + self._reserve)
+            short = not self._leaves(step)
         found = first_only and self.outcome.incumbent is not None
         self.outcome.converged = self.outcome.converged or found
         return short or found
@@ -551,7 +549,7 @@ class Solver:
             self.outcome.converged = False
             return None
         began, problem = self.deadline.elapsed, self.call.problem
-        path = exact_path(nlp, candidate.variables, problem.dock.final_straight).with_frame(problem.frame)
+        path = exact_path(nlp, candidate.variables, problem.dock.final_straight, problem.frame)
         verdict = self._judged(path, began)
         if not verdict.accepted and self.times.is_late():
             self.outcome.converged = False

@@ -72,7 +72,7 @@ def test_both_lanes_have_the_same_least_squares_to_the_last_bit(degenerate):
             with using_kernels(lane):
                 current = least.at(variables)
                 around = least.linearized(current)
-            found.append((current.merit, *around.quadratic))
+            found.append((current.merit, around.values))
         assert not replaced()
         assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*found, strict=True)), seed
 
@@ -88,7 +88,7 @@ def test_the_model_of_tracking_has_the_derivatives_of_its_merit():
         missed = float(np.abs(nlp.ends.error(path.rollout)).sum())
         return path.merit - nlp.settings.tracking.goal_weight * missed
 
-    gradient = least.linearized(least.at(variables)).quadratic.gradient
+    gradient = least.linearized(least.at(variables)).parts.quadratic.gradient
     for j in range(knots):
         change = step * (np.arange(at.size) == j)
         slope = (squares(change) - squares(-change)) / (2.0 * step)
