@@ -153,8 +153,6 @@ class Search(NamedTuple):
 
 def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSettings) -> bool:
     """Whether `path` is a clothoid path between the ends of the problem and within its curvature limits."""
-    if max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) > settings.same_pose:
-        return False
     limits = problem.robot.limits
     for segment in path.segments:
         if not isinstance(segment, ClothoidSegment):
@@ -163,7 +161,7 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
         rate = np.abs(np.diff(curvature) / np.diff(knots)).max()
         if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
             return False
-    return True
+    return max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) <= settings.same_pose
 
 
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
@@ -509,15 +507,14 @@ class Solver:
                 return
             before = self.deadline.elapsed
 
-    def _must_settle(self) -> bool:
-        """Whether the current step must be abandoned because of the time for a certificate."""
-        return not self._leaves(0.0)
+    def _must_settle(self, seconds: float = 0.0) -> bool:
+        """Whether no time is left for this work [s] besides that for the certificate of a candidate, if it is due.
 
-    def _leaves(self, seconds: float) -> bool:
-        """Whether time is left for this work [s], and for the certificate of a path better than the incumbent."""
-        if self._candidate is None and self.outcome.incumbent is None:
-            return self.deadline.fits(seconds)
-        return self.deadline.fits(seconds + self.times.reserve())
+        With an incumbent, a certificate is due for a path that is better.
+        """
+        if self._candidate is not None or self.outcome.incumbent is not None:
+            seconds += self.times.reserve()
+        return not self.deadline.fits(seconds)
 
     def _consider(self, iterate: Iterate) -> None:
         rival = self._candidate or self.outcome.incumbent
@@ -527,11 +524,11 @@ class Solver:
     def _enough(self, nlp: NonlinearProgram) -> bool:
         """Certify the candidate when little time remains, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
-        short = not self._leaves(step)
+        short = self._must_settle(step)
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
-            short = not self._leaves(step)
+            short = self._must_settle(step)
         found = first_only and self.outcome.incumbent is not None
         self.outcome.converged = self.outcome.converged or found
         return short or found

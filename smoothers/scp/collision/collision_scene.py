@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -114,11 +114,6 @@ class Scene:
     start_clearance: float  # clearance of the start pose [m]
     settings: CollisionSettings = DEFAULT_SETTINGS.collision  # selection of pairs
     start_relief: float = 0.0  # length of the weaker rule near the start [m]
-    outline: Points = field(init=False, repr=False)  # obstacle vertices, one column per obstacle, Shape (k, m) [m]
-    edge_normals: Points = field(init=False, repr=False)  # their outward edge normals
-    # middle and half extent of their bounding boxes, Shape (1, m) [m]
-    box_middle: Points = field(init=False, repr=False)
-    box_half: Points = field(init=False, repr=False)
 
     @cached_property
     def packed(self) -> FloatArray:
@@ -136,13 +131,21 @@ class Scene:
         numbers = rule.required, rule.at_dock, rule.taper, rule.dock_run, at_start, least, relief, START_RELIEF_SLOPE
         return np.array([*self.goal, *self.start, *numbers])
 
-    def __post_init__(self) -> None:
-        for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):
-            x, y = (np.ascontiguousarray(values[..., i].T) for i in (0, 1))
-            object.__setattr__(self, name, Points(x, y))
+    @cached_property
+    def outline(self) -> Points:
+        """Obstacle vertices, one column per obstacle, Shape (k, m) [m]."""
+        return _in_columns(self.obstacles.vertices)
+
+    @cached_property
+    def edge_normals(self) -> Points:
+        """Outward normals of the obstacles' edges, Shape (k, m)."""
+        return _in_columns(self.obstacles.normals)
+
+    @cached_property
+    def boxes(self) -> tuple[Points, Points]:
+        """Middle and half extent of the bounding box of each obstacle, Shape (1, m) each [m]."""
         lower, upper = self.obstacles.lower.T[:, None], self.obstacles.upper.T[:, None]
-        object.__setattr__(self, "box_middle", Points(*(0.5 * (lower + upper))))
-        object.__setattr__(self, "box_half", Points(*(0.5 * (upper - lower))))
+        return Points(*(0.5 * (lower + upper))), Points(*(0.5 * (upper - lower)))
 
     def required(self, positions: FloatArray) -> Requirement:
         """Return the required clearance at robot positions, Shape (n, 2) [m]."""
@@ -167,6 +170,10 @@ class Scene:
         rule = self.rule
         rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)
+
+
+def _in_columns(points: FloatArray) -> Points:
+    return Points(*(np.ascontiguousarray(points[..., i].T) for i in (0, 1)))
 
 
 @lru_cache(maxsize=16)

@@ -66,7 +66,8 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 def small_obstacles(scene: Scene) -> BoolArray:
     """Return a mask of the obstacles that are smaller than the body is wide. Shape (number of obstacles,)."""
-    small: BoolArray = 2.0 * np.maximum(scene.box_half.x[0], scene.box_half.y[0]) < scene.body.width
+    extent = scene.obstacles.upper - scene.obstacles.lower
+    small: BoolArray = np.maximum(extent[:, 0], extent[:, 1]) < scene.body.width
     return small
 
 
