@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import frozen, readonly
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
@@ -25,7 +25,7 @@ from smoothers.scp.goal_projection import clipped, limit_rate
 from smoothers.scp.loop import SearchGuess, evaluated
 from smoothers.scp.nlp import with_intervals
 from smoothers.scp.qp_step import Linearization, Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
-from smoothers.scp.rollout import Variables, in_order, roll_out, sensitivity
+from smoothers.scp.rollout import Rollout, Variables, in_order, roll_out, sensitivity
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,17 +37,19 @@ if TYPE_CHECKING:
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.rollout import Rollout, Sensitivity
     from smoothers.scp.settings import GuessSettings
 
 __all__ = [
     "EarlierResult",
     "InitialGuesses",
     "LeastSquares",
+    "TrackedPath",
     "largest_deviation",
+    "linearized_tracking",
     "pure_pursuit",
     "rest_of_earlier_result",
     "track",
+    "tracked_path",
 ]
 
 
@@ -384,18 +386,17 @@ def track(
     settings, knots = nlp.settings.tracking, nlp.basis.num_knots
     nlp = with_intervals(nlp, [min(cells, settings.most_intervals) for _, cells in nlp.basis.shape])
     least_squares = LeastSquares.of(nlp)
-    current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
+    current = tracked_path(least_squares, np.concatenate(limit_rate(nlp.basis, variables, nlp.inner_bounds)))
     penalties = Penalties(0.0, settings.goal_weight)
     around: Linearization | None = None
     for _ in range(settings.most_steps):
         if is_late():
             break
-        around = around or least_squares.linearized(current)
+        around = around or linearized_tracking(least_squares, current)
         step = solve_step(nlp, around, pool, trust_region, settings.proximal, penalties)
         if step is None:
             break
-        moved = np.concatenate(current.variables) + step.change
-        trial = least_squares.at(Variables(moved[:knots], moved[knots:]))
+        trial = tracked_path(least_squares, current.variables + step.change)
         if trial.merit >= current.merit:
             trust_region *= settings.trust_cut
             continue
@@ -403,13 +404,13 @@ def track(
         trust_region = min(settings.trust_growth * trust_region, settings.most_trust)
         if gain < settings.small_gain * current.merit or largest_deviation(nlp, current.rollout) < settings.near:
             break
-    return current.variables
+    return Variables(current.variables[:knots], current.variables[knots:])
 
 
-class _TrackedPath(NamedTuple):
-    """Variables of a tracked path, with their roll-out and merit."""
+class TrackedPath(NamedTuple):
+    """Variables of a tracked path, Shape (size,), with their roll-out and merit."""
 
-    variables: Variables
+    variables: FloatArray
     rollout: Rollout
     merit: float
 
@@ -436,20 +437,6 @@ class LeastSquares:
         smoothness = settings.smoothness * nlp.cost.factors[1]
         return cls(nlp, reference, smoothness, trusted_nodes(basis, nlp.settings.step))
 
-    def at(self, variables: Variables) -> _TrackedPath:
-        """Roll out the variables and compute the merit."""
-        rollout = roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
-        return _TrackedPath(variables, rollout, _merit_of(self, variables, rollout))
-
-    def linearized(self, current: _TrackedPath) -> Linearization:
-        """Return the convex model at an iterate, without clearance."""
-        basis, (variables, rollout, _) = self.nlp.basis, current
-        by = sensitivity(basis, variables, rollout)
-        goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), self.nlp.ends.error(rollout)
-        motion, no_rows = _without_clearance(basis.size)
-        model, headings = _model_of(self, current, by), by.yaw[self.trusted]
-        return Linearization.of(basis, Subproblem(variables, model, motion, goal, headings, no_rows))
-
     def residuals(self, rollout: Rollout) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Yield the axis, Shape (num_nodes, 2), the residuals and their weights, across the input and along it."""
         x, y = (rollout.poses[:, :2] - self.reference[:, :2]).T
@@ -459,65 +446,82 @@ class LeastSquares:
             yield axis, axis[:, 0] * x + axis[:, 1] * y, self.reference[:, 4 + i]
 
 
-@lru_cache(maxsize=16)
-def _without_clearance(size: int) -> tuple[FloatArray, ClearanceRows]:
-    """Return the squared motion and the empty rows of a subproblem of tracking, for the number of its variables."""
-    no_rows = ClearanceRows(np.zeros((0, size)), np.zeros(0), np.zeros(0, dtype=np.int64))
-    return frozen((readonly(np.eye(size)), no_rows))
+_TRACK = Kernel("optdock_track", sizes=4, numbers=2)
+_LINEARIZE = Kernel("optdock_track_linearized", sizes=5, numbers=1)
+_NO_ROWS = readonly(np.empty(0, dtype=np.int64))
 
 
-_MERIT = Kernel("optdock_tracking_merit", sizes=3, numbers=2)
-_MODEL = Kernel("optdock_tracking_model", sizes=3, numbers=1)
-
-
-def _arrays(
-    least: LeastSquares, variables: Variables, rollout: Rollout
-) -> tuple[tuple[FloatArray | IntArray, int], ...]:
+def _arrays(least: LeastSquares) -> tuple[tuple[FloatArray | IntArray, int], ...]:
     """Return the arrays that both kernels read."""
     basis = least.nlp.basis
     return (
-        (least.reference, 6 * basis.num_nodes),
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
         (basis.divisions, 2 * basis.num_gears),
+        (least.reference, 6 * basis.num_nodes),
         (basis.stiffness, basis.num_knots**2),
-        (np.concatenate(variables), basis.size),
-        (rollout.poses, 3 * basis.num_nodes),
     )
 
 
-def _merit_natively(least: LeastSquares, variables: Variables, rollout: Rollout) -> float:
-    basis, found = least.nlp.basis, np.empty(1)
-    numbers = least.smoothness, least.nlp.settings.tracking.goal_weight
-    arrays = (*_arrays(least, variables, rollout), (least.nlp.ends.target, 3), (found, 1))
-    _MERIT((basis.num_nodes, basis.num_knots, basis.num_gears), numbers, arrays)
-    return float(found[0])
-
-
-@twin_of(_merit_natively)
-def _merit_of(least: LeastSquares, variables: Variables, rollout: Rollout) -> float:
-    """Return the sum of the weighted squares, the smoothness and the error at the goal."""
+def _track_natively(least: LeastSquares, variables: FloatArray) -> TrackedPath:
     nlp, basis = least.nlp, least.nlp.basis
+    count = 4 * basis.num_nodes + 6 * basis.num_intervals
+    out, given = np.empty(count + 1), np.concatenate((variables, nlp.ends.start, nlp.ends.signs))
+    arrays = (
+        *_arrays(least),
+        (given, basis.size + 3 + basis.num_gears),
+        (nlp.ends.target, 3),
+        (out, count + 1),
+        (np.empty(basis.num_knots), basis.num_knots),
+    )
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals
+    _TRACK(sizes, (least.smoothness, nlp.settings.tracking.goal_weight), arrays)
+    return TrackedPath(variables, Rollout.within(out[:count], basis), out.item(count))
+
+
+@twin_of(_track_natively)
+def tracked_path(least: LeastSquares, variables: FloatArray) -> TrackedPath:
+    """Return the path of variables, Shape (size,), and its merit.
+
+    The merit is the sum of the weighted squares, the smoothness and the error at the goal.
+    """
+    nlp, basis, knots = least.nlp, least.nlp.basis, least.nlp.basis.num_knots
+    curvature, lengths = variables[:knots], variables[knots:]
+    rollout = roll_out(basis, Variables(curvature, lengths), nlp.ends.start, nlp.ends.signs)
     across, along = (float(in_order(w * (r * r))) for _, r, w in least.residuals(rollout))
-    slopes = in_order(basis.stiffness * variables.curvature, 1)
-    bent = float(in_order(variables.curvature * slopes / variables.lengths[basis.knot_gear]))
+    slopes = in_order(basis.stiffness * curvature, 1)
+    bent = float(in_order(curvature * slopes / lengths[basis.knot_gear]))
     missed = float(in_order(np.abs(nlp.ends.error(rollout))))
-    return across + along + least.smoothness * bent + nlp.settings.tracking.goal_weight * missed
+    merit = across + along + least.smoothness * bent + nlp.settings.tracking.goal_weight * missed
+    return TrackedPath(variables, rollout, merit)
 
 
-def _model_natively(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Quadratic:
-    basis, (variables, rollout, _) = least.nlp.basis, current
-    size, entries = basis.size, basis.size * basis.num_nodes
-    both = size * (size + 1)
-    out, work = np.empty(both), np.empty(both + size)
-    derived = (by.x, entries), (by.y, entries), (out, both), (work, both + size)
-    counts = basis.num_nodes, basis.num_knots, basis.num_gears
-    _MODEL(counts, (least.smoothness,), (*_arrays(least, variables, rollout), *derived))
-    return Quadratic(out[:size], out[size:].reshape(size, size))
+def _linearize_natively(least: LeastSquares, current: TrackedPath) -> Linearization:
+    nlp, basis, size, trusted = least.nlp, least.nlp.basis, least.nlp.basis.size, least.trusted.size
+    count, work = size * (2 * size + 5 + trusted) + 3, size * (3 * basis.num_nodes + size + 4)
+    values = np.empty(count)
+    arrays = (
+        *_arrays(least),
+        (least.trusted, trusted),
+        (current.variables, size),
+        (current.rollout.packed, 4 * basis.num_nodes + 6 * basis.num_intervals),
+        (nlp.ends.target, 3),
+        (values, count),
+        (np.empty(work), work),
+    )
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, trusted
+    _LINEARIZE(sizes, (least.smoothness,), arrays)
+    return Linearization(values, _NO_ROWS, basis, trusted)
 
 
-@twin_of(_model_natively)
-def _model_of(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Quadratic:
-    """Return the gradient and the Gauss-Newton Hessian of the merit without the error at the goal."""
-    basis, (variables, rollout, _), knots = least.nlp.basis, current, least.nlp.basis.num_knots
+@twin_of(_linearize_natively)
+def linearized_tracking(least: LeastSquares, current: TrackedPath) -> Linearization:
+    """Return the linearization at a path: the Gauss-Newton model of the merit without the error at the goal.
+
+    There are no rows of clearance.
+    """
+    basis, knots, rollout = least.nlp.basis, least.nlp.basis.num_knots, current.rollout
+    variables = Variables(current.variables[:knots], current.variables[knots:])
+    by = sensitivity(basis, variables, rollout)
     stiffness = least.smoothness / variables.lengths[basis.knot_gear] * basis.stiffness
     gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
     gradient[:knots], hessian[:knots, :knots] = 2.0 * in_order(stiffness * variables.curvature, 1), 2.0 * stiffness
@@ -525,4 +529,7 @@ def _model_of(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Qu
         moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
         gradient += 2.0 * in_order((weight * residual)[:, None] * moved)
         hessian += 2.0 * in_order(weight[:, None, None] * (moved[:, :, None] * moved[:, None]))
-    return Quadratic(gradient, hessian)
+    goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), least.nlp.ends.error(rollout)
+    model, no_rows = Quadratic(gradient, hessian), ClearanceRows(np.empty((0, basis.size)), np.empty(0), _NO_ROWS)
+    parts = Subproblem(variables, model, np.eye(basis.size), goal, by.yaw[least.trusted], no_rows)
+    return Linearization.of(basis, parts)
