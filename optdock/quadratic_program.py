@@ -36,6 +36,7 @@ __all__ = [
 UNBOUNDED = 1e30  # DAQP's value for infinity
 EXACT = 1e-12  # primal tolerance that finds all active constraints; relative to the Hessian
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+_ROUNDING = 1e-9  # tolerance where `EXACT` is too small for the rounding errors, as in the kernel
 AT_BOUND = 1e-9  # distance of active constraints from their bounds
 MOST_ROUNDS = 1000
 _KERNEL = Kernel("optdock_minimizer", sizes=5, numbers=3)
@@ -179,7 +180,11 @@ def minimizer(program: QuadraticProgram) -> Minimizer | None:
     solver = program.dense()
     solver.fill(program)
     if solver.solve() is None:
-        return None
+        # Rounding may leave one of several constraints violated that depend on each other, whichever are active.
+        solver = DenseProgram(solver.g.size, solver.lba.size, tolerance=_ROUNDING)
+        solver.fill(program)
+        if solver.solve() is None:
+            return None
     multipliers, (lower, upper) = solver.multipliers[: program.bounds.shape[1]], program.bounds
     active = np.flatnonzero((multipliers != 0.0) | (lower == upper))
     solution = _minimizer_on(program, active, np.where(multipliers[active] > 0.0, upper[active], lower[active]))

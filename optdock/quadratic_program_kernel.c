@@ -4,7 +4,7 @@
  * dual is to maximize d' p - |M' p|^2 / 2 over p >= 0. Of the working set W, the method keeps the factors L D L' of
  * M_W M_W'. Each round moves the multipliers p towards those of the minimizer on W; a constraint whose multiplier
  * becomes 0 before is removed. Then constraints that the minimizer violates are added [Arnstrom2022], [Goldfarb1983].
- * The dual increases in each round, so the method ends.
+ * The dual increases in each round except for rounding errors, see `find`, so the method ends.
  *
  * A constraint is a number, 1 to n for the bounds of a variable and n + 1 to n + m for those of a row; it is negative
  * for the upper bound. The elements of a row other than 0 are in one range among the first `leading` columns, and in
@@ -41,8 +41,10 @@ typedef struct {
     int64_t valid;
 } WorkingSet;
 
-static const double DEPENDENT = 1e-11; /* of |m|^2: smaller pivots are 0 */
-static const double NEARLY = 0.3;      /* of the largest violation */
+static const double DEPENDENT = 1e-11;  /* of |m|^2: smaller pivots are 0 */
+static const double NEARLY = 0.3;       /* of the largest violation */
+static const double ROUNDING = 1e-9;    /* violations up to it are accepted where no set has smaller ones */
+static const int64_t MOST_STALLED = 20; /* rounds in which the dual does not increase */
 
 static double dot(const double *a, const double *b, int64_t count)
 {
@@ -267,7 +269,8 @@ static int64_t reach_goal(const Program *p, WorkingSet *w)
 }
 
 /* For an appended constraint whose normal depends on W: moves the multipliers while u is kept, and removes the
- * constraint whose multiplier becomes 0 first. Returns whether there is one; else the program is infeasible. */
+ * constraint whose multiplier becomes 0 first. Returns whether there is one and the appended constraint is independent of
+ * the others; else W keeps its constraints. */
 static int exchange(const Program *p, WorkingSet *w, int64_t number)
 {
     double *change = w->goal, *row = w->factor + w->count * w->most, step = INFINITY;
@@ -286,11 +289,15 @@ static int exchange(const Program *p, WorkingSet *w, int64_t number)
         return 0;
     for (int64_t i = 0; i < w->count; i++)
         w->dual[i] += step * change[i];
+    int64_t removed = w->number[blocking];
     remove_from(p, w, blocking);
-    if (!append(p, w, number))
-        return 0;
-    w->dual[w->count] = step;
-    return 1;
+    if (append(p, w, number)) {
+        w->dual[w->count] = step;
+        return 1;
+    }
+    if (append(p, w, removed))
+        keep_appended(w);
+    return 0;
 }
 
 /* Violations by x relative to their scales, negative for upper bounds; 0 in W. Returns the index of the largest one. */
@@ -456,22 +463,32 @@ static int64_t set_attained(const Program *p, const double *x, double tolerance,
     return count;
 }
 
-/* The active set is in W. Returns whether it is found in so many rounds. */
+/* The active set is in W. Returns whether it is found in so many rounds.
+ *
+ * The dual at the minimizer on W is |u|^2 / 2. Of constraints that depend on each other, rounding errors may leave one
+ * violated whichever others are in W: then the dual does not increase any more, or the constraint cannot be added. */
 static int find(const Program *p, WorkingSet *w, int64_t rounds, double tolerance, double *x, double *violation)
 {
-    for (int64_t done = 0; done < rounds; done++) {
+    double best = -1.0;
+    for (int64_t done = 0, stalled = 0; done < rounds; done++, stalled++) {
         done += reach_goal(p, w);
         for (int64_t k = 0; k < p->n; k++)
             x[k] = 0.0;
         for (int64_t i = 0; i < w->count; i++)
             add_scaled(x, w->dual[i], w->normals + i * p->n, p->n);
+        double dual = dot(x, x, p->n);
         solve_transposed(p, x);
         add_scaled(x, 1.0, p->x0, p->n);
         int64_t worst = measure(p, w, x, violation);
         if (!(fabs(violation[worst]) > tolerance))
             return 1;
-        if (!add_violated(p, w, violation, worst))
-            return 0;
+        if (dual > best) {
+            best = dual;
+            stalled = 0;
+        }
+        int64_t count = w->count;
+        if (stalled >= MOST_STALLED || !add_violated(p, w, violation, worst))
+            return w->count == count && fabs(violation[worst]) <= ROUNDING;
     }
     return 0;
 }

@@ -67,7 +67,7 @@ def smooth_by_ipopt(
     nlp, guesses = solver.prepared(smoother.call_for(path, problem))
     straight = problem.dock.final_straight
     iterate, settled = solve_reference(nlp, guesses.first.variables, deadline)
-    found = exact_path(nlp, iterate.variables, straight).with_frame(problem.frame)
+    found = exact_path(nlp, iterate.variables, straight, problem.frame)
     certificate = certify_path(found, problem)
     if not certificate.certified:
         refusal = refuse_search(nlp, iterate, problem)

@@ -72,27 +72,7 @@ class CostModel:
     # weights of the curvature rate, at most 1, Shape (number of spans,); None: 1 everywhere
     easing: FloatArray | None = None
 
-    @cached_property
-    def _stiffness(self) -> FloatArray:
-        """Return the integrals over u of products of the slopes of hat functions, weighted by `easing`."""
-        basis = self.basis
-        if self.easing is None:
-            return basis.stiffness
-        spans = np.array([count for count, _ in basis.shape])[basis.span_gear]
-        slopes = np.sqrt(self.easing / spans)[:, None] * basis.span_slopes
-        return product_of_columns(slopes, slopes)
-
-    @cached_property
-    def _turned(self) -> FloatArray:
-        """Return weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
-        basis = self.basis
-        rows = np.zeros((basis.num_gears - 1, basis.num_knots))
-        cusps = np.arange(basis.num_gears - 1)
-        rows[cusps, basis.last_knots[:-1]] = 1.0
-        rows[cusps, basis.first_knots[1:]] = 1.0
-        return rows * math.sqrt(self.turning_at_cusps) / self.scales[0]
-
-    @cached_property
+    @property
     def factors(self) -> tuple[float, float]:
         """Weights of the integrals of squared curvature and squared curvature rate."""
         return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
@@ -103,8 +83,26 @@ class CostModel:
 
         Shape (num_knots, num_knots) each; elements that are not next to the diagonal are 0.
         """
-        bend, jerk = self.factors
-        return 2.0 * bend * self.basis.mass, 2.0 * jerk * self._stiffness, 2.0 * (self._turned.T @ self._turned)
+        (bend, jerk), turned = self.factors, self._turned()
+        return 2.0 * bend * self.basis.mass, 2.0 * jerk * self._stiffness(), 2.0 * (turned.T @ turned)
+
+    def _stiffness(self) -> FloatArray:
+        """Return the integrals over u of products of the slopes of hat functions, weighted by `easing`."""
+        basis = self.basis
+        if self.easing is None:
+            return basis.stiffness
+        spans = np.array([count for count, _ in basis.shape])[basis.span_gear]
+        slopes = np.sqrt(self.easing / spans)[:, None] * basis.span_slopes
+        return product_of_columns(slopes, slopes)
+
+    def _turned(self) -> FloatArray:
+        """Return weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
+        basis = self.basis
+        rows = np.zeros((basis.num_gears - 1, basis.num_knots))
+        cusps = np.arange(basis.num_gears - 1)
+        rows[cusps, basis.last_knots[:-1]] = 1.0
+        rows[cusps, basis.first_knots[1:]] = 1.0
+        return rows * math.sqrt(self.turning_at_cusps) / self.scales[0]
 
     def _lateral(self, rollout: Rollout) -> FloatArray:
         away = rollout.poses[:, :2] - self.reference.positions

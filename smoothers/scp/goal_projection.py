@@ -224,7 +224,7 @@ def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> 
     return bool(np.all(slopes <= bounds.rate * variables.lengths[basis.span_gear] * (1.0 + 1e-12)))
 
 
-def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float) -> Path:
+def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float, frame: str = "") -> Path:
     """Return the path of clothoid splines and the final straight, whose end is the goal except for rounding (S20)."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     target = ends.target
@@ -245,7 +245,7 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
         moved = np.clip(moved, nlp.bounds.lower, nlp.bounds.upper)
         variables = Variables(moved[: basis.num_knots], moved[basis.num_knots :])
         splines = _chained(basis, variables, ends, final_straight)
-    return Path(tuple(ClothoidSegment(spline) for spline in splines))
+    return Path(tuple([ClothoidSegment(spline) for spline in splines]), frame)
 
 
 def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: float = 0.0) -> Path:
@@ -256,19 +256,13 @@ def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: flo
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
     """Return one spline per gear, each from the end of the previous spline; the last spline includes the straight."""
-    pose = Pose2.from_sequence(ends.start)
-    splines = []
-    for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):
-        length, count = variables.lengths[m], last - first + 1
-        is_extended = m == basis.num_gears - 1 and final_straight > 0.0
-        knots, curvature = np.zeros(count + is_extended), np.zeros(count + is_extended)
-        knots[:count], curvature[:count] = (
-            np.arange(count) * (length / (count - 1)),
-            variables.curvature[first : last + 1],
-        )
-        knots[count - 1] = length
-        knots[count:] = length + final_straight
-        spline = ClothoidSpline(pose, knots, curvature, int(ends.signs[m]))
-        splines.append(spline)
-        pose = spline.end
+    pose, splines = Pose2.from_sequence(ends.start), []
+    for own, length, sign in zip(basis.own_knots, variables.lengths.tolist(), ends.signs.tolist(), strict=True):
+        count, is_extended = own.stop - own.start, own.stop == basis.num_knots and final_straight > 0.0
+        knots, curvature = np.arange(count + is_extended) * (length / (count - 1)), np.zeros(count + is_extended)
+        knots[count - 1 :] = length
+        knots[count:] += final_straight
+        curvature[:count] = variables.curvature[own]
+        splines.append(ClothoidSpline(pose, knots, curvature, int(sign)))
+        pose = splines[-1].end
     return splines

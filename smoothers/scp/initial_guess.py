@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.geometry.arrays import frozen, readonly
+from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
@@ -24,8 +24,8 @@ from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import clipped, limit_rate
 from smoothers.scp.loop import SearchGuess, evaluated
 from smoothers.scp.nlp import with_intervals
-from smoothers.scp.qp_step import Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
-from smoothers.scp.rollout import Variables, in_order, roll_out, sensitivity
+from smoothers.scp.qp_step import Linearization, Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
+from smoothers.scp.rollout import Rollout, Variables, in_order, roll_out, sensitivity
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,17 +37,19 @@ if TYPE_CHECKING:
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.rollout import Rollout, Sensitivity
     from smoothers.scp.settings import GuessSettings
 
 __all__ = [
     "EarlierResult",
     "InitialGuesses",
     "LeastSquares",
+    "TrackedPath",
     "largest_deviation",
+    "linearized_tracking",
     "pure_pursuit",
     "rest_of_earlier_result",
     "track",
+    "tracked_path",
 ]
 
 
@@ -60,6 +62,8 @@ class InitialGuesses:
     pool: ProgramPool = field(default_factory=pool_of_this_thread)  # convex programs, for tracking
     # whether there is no time for another iteration; called before and within tracking
     is_late: Callable[[], bool] = never_late
+    # iterates of guesses, which a search that begins with one of them does not compute again
+    _known: list[tuple[Variables, Iterate]] = field(default_factory=list, init=False, repr=False)
 
     @property
     def first(self) -> SearchGuess:
@@ -95,12 +99,19 @@ class InitialGuesses:
             left, settings.trust_region_near, settings.proximal_near / self.nlp.radius, settings.patience
         )
 
-    @cached_property
+    @property
     def fitted(self) -> Variables:
         """Smoothed least-squares fit to the input's headings (S9), within the bounds."""
+        return self._fit.variables
+
+    @cached_property
+    def _fit(self) -> _Fit:
         nlp, lengths = self.nlp, self.nlp.lengths
         turned = nlp.basis.fit @ (nlp.traced.headings - nlp.ends.start[2])
-        return clipped(Variables(turned / lengths[nlp.basis.knot_gear], lengths.copy()), nlp.inner_bounds)
+        variables = clipped(Variables(turned / lengths[nlp.basis.knot_gear], lengths.copy()), nlp.inner_bounds)
+        driven = self._driven(variables)
+        missed = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
+        return _Fit(variables, largest_deviation(nlp, driven), missed)
 
     @cached_property
     def pursued(self) -> Variables:
@@ -114,7 +125,7 @@ class InitialGuesses:
         """Drivable path whose positions are nearest to the input in the least-squares sense (S22)."""
         return track(self.nlp, self.pool, self._untracked, self.trust_region, self.is_late)
 
-    @cached_property
+    @property
     def trust_region(self) -> float:
         """Initial bound on heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
@@ -124,10 +135,9 @@ class InitialGuesses:
     @cached_property
     def _untracked(self) -> Variables:
         """The fit, or the pursuit if the fit deviates too far from the input."""
-        settings, driven = self.nlp.settings.guess, self._fit_driven
-        turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
-        is_near = self._fit_deviation < settings.astray and turned < settings.turned_away
-        return self.fitted if is_near else self.pursued
+        settings, fit = self.nlp.settings.guess, self._fit
+        is_near = fit.deviation < settings.astray and fit.turned < settings.turned_away
+        return fit.variables if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
@@ -135,14 +145,14 @@ class InitialGuesses:
         settings = self.nlp.settings.guess
         tracked, untracked = largest_deviation(self.nlp, self._driven(self.tracked)), self._untracked
         is_fitted = untracked is self.fitted
-        other = self._fit_deviation if is_fitted else largest_deviation(self.nlp, self._driven(untracked))
+        other = self._fit.deviation if is_fitted else largest_deviation(self.nlp, self._driven(untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
         """The fit or the pursuit, unless it collides or misses the goal and the tracked path is better."""
         nlp, first = self.nlp, self._untracked
-        is_near = first is self.fitted and self._fit_deviation < nlp.settings.guess.off_the_input
+        is_near = first is self.fitted and self._fit.deviation < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
         begun = self._evaluated(first)
@@ -155,21 +165,9 @@ class InitialGuesses:
         return self.tracked if does_better else first
 
     def _evaluated(self, variables: Variables) -> Iterate:
-        """Return the iterate of variables, which a search that begins with them does not compute again."""
-        self._known.append((variables, evaluated(self.nlp, variables)[0]))
-        return self._known[-1][1]
-
-    @cached_property
-    def _known(self) -> list[tuple[Variables, Iterate]]:
-        return []
-
-    @cached_property
-    def _fit_driven(self) -> Rollout:
-        return self._driven(self.fitted)
-
-    @cached_property
-    def _fit_deviation(self) -> float:
-        return largest_deviation(self.nlp, self._fit_driven)
+        found = evaluated(self.nlp, np.concatenate(variables))
+        self._known.append((variables, found))
+        return found
 
     def _driven(self, variables: Variables) -> Rollout:
         return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
@@ -184,6 +182,14 @@ class InitialGuesses:
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         begun = next((iterate for known, iterate in self._known if known is variables), None)
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience, begun)
+
+
+class _Fit(NamedTuple):
+    """The fit to the headings."""
+
+    variables: Variables
+    deviation: float  # largest distance from the input [m]
+    turned: float  # error of the heading at the goal [rad]
 
 
 class EarlierResult(NamedTuple):
@@ -380,18 +386,17 @@ def track(
     settings, knots = nlp.settings.tracking, nlp.basis.num_knots
     nlp = with_intervals(nlp, [min(cells, settings.most_intervals) for _, cells in nlp.basis.shape])
     least_squares = LeastSquares.of(nlp)
-    current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
+    current = tracked_path(least_squares, np.concatenate(limit_rate(nlp.basis, variables, nlp.inner_bounds)))
     penalties = Penalties(0.0, settings.goal_weight)
-    around: Subproblem | None = None
+    around: Linearization | None = None
     for _ in range(settings.most_steps):
         if is_late():
             break
-        around = around or least_squares.linearized(current)
+        around = around or linearized_tracking(least_squares, current)
         step = solve_step(nlp, around, pool, trust_region, settings.proximal, penalties)
         if step is None:
             break
-        moved = np.concatenate(current.variables) + step.change
-        trial = least_squares.at(Variables(moved[:knots], moved[knots:]))
+        trial = tracked_path(least_squares, current.variables + step.change)
         if trial.merit >= current.merit:
             trust_region *= settings.trust_cut
             continue
@@ -399,13 +404,13 @@ def track(
         trust_region = min(settings.trust_growth * trust_region, settings.most_trust)
         if gain < settings.small_gain * current.merit or largest_deviation(nlp, current.rollout) < settings.near:
             break
-    return current.variables
+    return Variables(current.variables[:knots], current.variables[knots:])
 
 
-class _TrackedPath(NamedTuple):
-    """Variables of a tracked path, with their roll-out and merit."""
+class TrackedPath(NamedTuple):
+    """Variables of a tracked path, Shape (size,), with their roll-out and merit."""
 
-    variables: Variables
+    variables: FloatArray
     rollout: Rollout
     merit: float
 
@@ -432,19 +437,6 @@ class LeastSquares:
         smoothness = settings.smoothness * nlp.cost.factors[1]
         return cls(nlp, reference, smoothness, trusted_nodes(basis, nlp.settings.step))
 
-    def at(self, variables: Variables) -> _TrackedPath:
-        """Roll out the variables and compute the merit."""
-        rollout = roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
-        return _TrackedPath(variables, rollout, _merit_of(self, variables, rollout))
-
-    def linearized(self, current: _TrackedPath) -> Subproblem:
-        """Return the convex model at an iterate, without clearance."""
-        basis, (variables, rollout, _) = self.nlp.basis, current
-        by = sensitivity(basis, variables, rollout)
-        goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), self.nlp.ends.error(rollout)
-        motion, no_rows = _without_clearance(basis.size)
-        return Subproblem(variables, _model_of(self, current, by), motion, goal, by.yaw[self.trusted], no_rows)
-
     def residuals(self, rollout: Rollout) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Yield the axis, Shape (num_nodes, 2), the residuals and their weights, across the input and along it."""
         x, y = (rollout.poses[:, :2] - self.reference[:, :2]).T
@@ -454,65 +446,82 @@ class LeastSquares:
             yield axis, axis[:, 0] * x + axis[:, 1] * y, self.reference[:, 4 + i]
 
 
-@lru_cache(maxsize=16)
-def _without_clearance(size: int) -> tuple[FloatArray, ClearanceRows]:
-    """Return the squared motion and the empty rows of a subproblem of tracking, for the number of its variables."""
-    no_rows = ClearanceRows(np.zeros((0, size)), np.zeros(0), np.zeros(0, dtype=np.int64))
-    return frozen((readonly(np.eye(size)), no_rows))
+_TRACK = Kernel("optdock_track", sizes=4, numbers=2)
+_LINEARIZE = Kernel("optdock_track_linearized", sizes=5, numbers=1)
+_NO_ROWS = readonly(np.empty(0, dtype=np.int64))
 
 
-_MERIT = Kernel("optdock_tracking_merit", sizes=3, numbers=2)
-_MODEL = Kernel("optdock_tracking_model", sizes=3, numbers=1)
-
-
-def _arrays(
-    least: LeastSquares, variables: Variables, rollout: Rollout
-) -> tuple[tuple[FloatArray | IntArray, int], ...]:
+def _arrays(least: LeastSquares) -> tuple[tuple[FloatArray | IntArray, int], ...]:
     """Return the arrays that both kernels read."""
     basis = least.nlp.basis
     return (
-        (least.reference, 6 * basis.num_nodes),
+        (basis.packed, 2 * (basis.num_intervals + basis.num_nodes) * basis.num_knots),
         (basis.divisions, 2 * basis.num_gears),
+        (least.reference, 6 * basis.num_nodes),
         (basis.stiffness, basis.num_knots**2),
-        (np.concatenate(variables), basis.size),
-        (rollout.poses, 3 * basis.num_nodes),
     )
 
 
-def _merit_natively(least: LeastSquares, variables: Variables, rollout: Rollout) -> float:
-    basis, found = least.nlp.basis, np.empty(1)
-    numbers = least.smoothness, least.nlp.settings.tracking.goal_weight
-    arrays = (*_arrays(least, variables, rollout), (least.nlp.ends.target, 3), (found, 1))
-    _MERIT((basis.num_nodes, basis.num_knots, basis.num_gears), numbers, arrays)
-    return float(found[0])
-
-
-@twin_of(_merit_natively)
-def _merit_of(least: LeastSquares, variables: Variables, rollout: Rollout) -> float:
-    """Return the sum of the weighted squares, the smoothness and the error at the goal."""
+def _track_natively(least: LeastSquares, variables: FloatArray) -> TrackedPath:
     nlp, basis = least.nlp, least.nlp.basis
+    count = 4 * basis.num_nodes + 6 * basis.num_intervals
+    out, given = np.empty(count + 1), np.concatenate((variables, nlp.ends.start, nlp.ends.signs))
+    arrays = (
+        *_arrays(least),
+        (given, basis.size + 3 + basis.num_gears),
+        (nlp.ends.target, 3),
+        (out, count + 1),
+        (np.empty(basis.num_knots), basis.num_knots),
+    )
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals
+    _TRACK(sizes, (least.smoothness, nlp.settings.tracking.goal_weight), arrays)
+    return TrackedPath(variables, Rollout.within(out[:count], basis), out.item(count))
+
+
+@twin_of(_track_natively)
+def tracked_path(least: LeastSquares, variables: FloatArray) -> TrackedPath:
+    """Return the path of variables, Shape (size,), and its merit.
+
+    The merit is the sum of the weighted squares, the smoothness and the error at the goal.
+    """
+    nlp, basis, knots = least.nlp, least.nlp.basis, least.nlp.basis.num_knots
+    curvature, lengths = variables[:knots], variables[knots:]
+    rollout = roll_out(basis, Variables(curvature, lengths), nlp.ends.start, nlp.ends.signs)
     across, along = (float(in_order(w * (r * r))) for _, r, w in least.residuals(rollout))
-    slopes = in_order(basis.stiffness * variables.curvature, 1)
-    bent = float(in_order(variables.curvature * slopes / variables.lengths[basis.knot_gear]))
+    slopes = in_order(basis.stiffness * curvature, 1)
+    bent = float(in_order(curvature * slopes / lengths[basis.knot_gear]))
     missed = float(in_order(np.abs(nlp.ends.error(rollout))))
-    return across + along + least.smoothness * bent + nlp.settings.tracking.goal_weight * missed
+    merit = across + along + least.smoothness * bent + nlp.settings.tracking.goal_weight * missed
+    return TrackedPath(variables, rollout, merit)
 
 
-def _model_natively(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Quadratic:
-    basis, (variables, rollout, _) = least.nlp.basis, current
-    size, entries = basis.size, basis.size * basis.num_nodes
-    both = size * (size + 1)
-    out, work = np.empty(both), np.empty(both + size)
-    derived = (by.x, entries), (by.y, entries), (out, both), (work, both + size)
-    counts = basis.num_nodes, basis.num_knots, basis.num_gears
-    _MODEL(counts, (least.smoothness,), (*_arrays(least, variables, rollout), *derived))
-    return Quadratic(out[:size], out[size:].reshape(size, size))
+def _linearize_natively(least: LeastSquares, current: TrackedPath) -> Linearization:
+    nlp, basis, size, trusted = least.nlp, least.nlp.basis, least.nlp.basis.size, least.trusted.size
+    count, work = size * (2 * size + 5 + trusted) + 3, size * (3 * basis.num_nodes + size + 4)
+    values = np.empty(count)
+    arrays = (
+        *_arrays(least),
+        (least.trusted, trusted),
+        (current.variables, size),
+        (current.rollout.packed, 4 * basis.num_nodes + 6 * basis.num_intervals),
+        (nlp.ends.target, 3),
+        (values, count),
+        (np.empty(work), work),
+    )
+    sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, trusted
+    _LINEARIZE(sizes, (least.smoothness,), arrays)
+    return Linearization(values, _NO_ROWS, basis, trusted)
 
 
-@twin_of(_model_natively)
-def _model_of(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Quadratic:
-    """Return the gradient and the Gauss-Newton Hessian of the merit without the error at the goal."""
-    basis, (variables, rollout, _), knots = least.nlp.basis, current, least.nlp.basis.num_knots
+@twin_of(_linearize_natively)
+def linearized_tracking(least: LeastSquares, current: TrackedPath) -> Linearization:
+    """Return the linearization at a path: the Gauss-Newton model of the merit without the error at the goal.
+
+    There are no rows of clearance.
+    """
+    basis, knots, rollout = least.nlp.basis, least.nlp.basis.num_knots, current.rollout
+    variables = Variables(current.variables[:knots], current.variables[knots:])
+    by = sensitivity(basis, variables, rollout)
     stiffness = least.smoothness / variables.lengths[basis.knot_gear] * basis.stiffness
     gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
     gradient[:knots], hessian[:knots, :knots] = 2.0 * in_order(stiffness * variables.curvature, 1), 2.0 * stiffness
@@ -520,4 +529,7 @@ def _model_of(least: LeastSquares, current: _TrackedPath, by: Sensitivity) -> Qu
         moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
         gradient += 2.0 * in_order((weight * residual)[:, None] * moved)
         hessian += 2.0 * in_order(weight[:, None, None] * (moved[:, :, None] * moved[:, None]))
-    return Quadratic(gradient, hessian)
+    goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), least.nlp.ends.error(rollout)
+    model, no_rows = Quadratic(gradient, hessian), ClearanceRows(np.empty((0, basis.size)), np.empty(0), _NO_ROWS)
+    parts = Subproblem(variables, model, np.eye(basis.size), goal, by.yaw[least.trusted], no_rows)
+    return Linearization.of(basis, parts)

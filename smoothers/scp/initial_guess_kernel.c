@@ -1,11 +1,16 @@
 /* First guesses of the smoother: the pure pursuit of one gear and the least squares of tracking, the functions
- * `_drive_of`, `_merit_of` and `_model_of` of `initial_guess.py` in C.
+ * `_drive_of`, `tracked_path` and `linearized_tracking` of `initial_guess.py` in C.
  *
  * Operations are evaluated in the order of the twins, with the functions of the C library. A search for a path uses the
  * results as its beginning; the certificate does not. */
 
 #include <math.h>
 #include <stdint.h>
+
+int64_t optdock_roll_out(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, const double *packed,
+                         const int64_t *divisions, const double *given, double *out, double *work);
+int64_t optdock_sensitivity(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, const double *packed,
+                            const int64_t *divisions, const double *z, const double *moved, double *out, double *work);
 
 static const double PI = 3.14159265358979323846;
 
@@ -129,21 +134,22 @@ static Vector axis_of(const Node *node, int axis)
     return axis == 0 ? (Vector){node->normal_x, node->normal_y} : (Vector){-node->normal_y, node->normal_x};
 }
 
-/* Compute the merit of a path.
+/* Compute a path and its merit.
  *
- *   nodes, knots, gears   of the path
+ *   gears, knots, nodes, intervals, basis, divisions   see `optdock_roll_out`
  *   smoothness, goal      weights of the squared curvature rate and of the error at the goal
  *   reference   see `Node`, (nodes, 6)
- *   divisions   spans and intervals of each gear, (gears, 2)
  *   stiffness   (knots, knots), see `Basis`
- *   z           curvatures and lengths, (knots + gears,)
- *   poses       (nodes, 3)
+ *   given       curvatures and lengths (knots + gears,), start pose (3,), signs (gears,)
  *   target      pose, (3,)
- *   merit       out, (1,) */
-int64_t optdock_tracking_merit(int64_t nodes, int64_t knots, int64_t gears, double smoothness, double goal,
-                               const double *reference, const int64_t *divisions, const double *stiffness,
-                               const double *z, const double *poses, const double *target, double *merit)
+ *   out         out, roll-out (4 nodes + 6 intervals,) and merit
+ *   work        (knots,) */
+int64_t optdock_track(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, double smoothness, double goal,
+                      const double *basis, const int64_t *divisions, const double *reference, const double *stiffness,
+                      const double *given, const double *target, double *out, double *work)
 {
+    const double *z = given, *poses = out;
+    optdock_roll_out(gears, knots, nodes, intervals, basis, divisions, given, out, work);
     const Node *input = (const Node *)reference;
     double squares[2] = {0.0, 0.0}, slopes = 0.0, missed = 0.0;
     for (int axis = 0; axis < 2; axis++) {
@@ -163,19 +169,21 @@ int64_t optdock_tracking_merit(int64_t nodes, int64_t knots, int64_t gears, doub
     }
     for (int i = 0; i < 3; i++)
         missed += fabs(poses[3 * (nodes - 1) + i] - target[i]);
-    merit[0] = squares[0] + squares[1] + smoothness * slopes + goal * missed;
+    out[4 * nodes + 6 * intervals] = squares[0] + squares[1] + smoothness * slopes + goal * missed;
     return 0;
 }
 
-/* Compute the gradient and the Gauss-Newton Hessian of the merit without the error at the goal.
+/* Write the gradient and the Gauss-Newton Hessian of the merit without the error at the goal.
  *
- *   nodes ... poses   as above
- *   by_x, by_y   derivatives of the positions, (nodes, knots + gears)
- *   out          out, gradient (knots + gears,) and Hessian (knots + gears, knots + gears)
- *   work         of the size of `out`, and (knots + gears,) */
-int64_t optdock_tracking_model(int64_t nodes, int64_t knots, int64_t gears, double smoothness, const double *reference,
-                               const int64_t *divisions, const double *stiffness, const double *z, const double *poses,
-                               const double *by_x, const double *by_y, double *out, double *work)
+ *   nodes ... stiffness   as above
+ *   z            curvatures and lengths, (size,) = (knots + gears,)
+ *   poses        (nodes, 3)
+ *   by_x, by_y   derivatives of the positions, (nodes, size)
+ *   out          out, gradient (size,) and Hessian (size, size)
+ *   work         of the size of `out`, and (size,) */
+static void write_model(int64_t nodes, int64_t knots, int64_t gears, double smoothness, const double *reference,
+                        const int64_t *divisions, const double *stiffness, const double *z, const double *poses,
+                        const double *by_x, const double *by_y, double *out, double *work)
 {
     const Node *input = (const Node *)reference;
     int64_t size = knots + gears;
@@ -214,6 +222,40 @@ int64_t optdock_tracking_model(int64_t nodes, int64_t knots, int64_t gears, doub
             for (int64_t j = 0; j < size; j++)
                 hessian[i * size + j] += 2.0 * (j <= i ? squares[i * size + j] : squares[j * size + i]);
         }
+    }
+}
+
+/* Linearize at a path, without clearance.
+ *
+ *   gears ... stiffness   as above
+ *   trusted     number of nodes whose headings the trust region bounds, and these nodes, (trusted,)
+ *   z           curvatures and lengths, (size,) = (knots + gears,)
+ *   rollout     of z, see `Rollout.packed`
+ *   out         out, see `Linearization.values`
+ *   work        (3, nodes, size), then the larger of 4 size and size (size + 2) */
+int64_t optdock_track_linearized(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, int64_t trusted,
+                                 double smoothness, const double *basis, const int64_t *divisions,
+                                 const double *reference, const double *stiffness, const int64_t *trusted_nodes,
+                                 const double *z, const double *rollout, const double *target, double *out,
+                                 double *work)
+{
+    int64_t size = knots + gears, square = size * size, last = nodes - 1;
+    double *error = out + size, *gradient = error + 3, *motion = gradient + size + square;
+    double *jacobian = motion + square, *headings = jacobian + 3 * size, *next = work + 3 * nodes * size;
+    optdock_sensitivity(gears, knots, nodes, intervals, basis, divisions, z, rollout + 4 * nodes + 2 * intervals, work,
+                        next);
+    write_model(nodes, knots, gears, smoothness, reference, divisions, stiffness, z, rollout, work,
+                work + nodes * size, gradient, next);
+    for (int64_t i = 0; i < 3; i++)
+        error[i] = rollout[3 * last + i] - target[i];
+    for (int64_t j = 0; j < size; j++) {
+        out[j] = z[j];
+        for (int64_t i = 0; i < size; i++)
+            motion[i * size + j] = i == j;
+        for (int64_t i = 0; i < 3; i++)
+            jacobian[i * size + j] = work[(i * nodes + last) * size + j];
+        for (int64_t i = 0; i < trusted; i++)
+            headings[i * size + j] = work[(2 * nodes + trusted_nodes[i]) * size + j];
     }
     return 0;
 }

@@ -17,11 +17,10 @@ import numpy as np
 from optdock.deadline import never_late
 from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.clearance_along import clearance_along
-from smoothers.scp.collision.collision_scene import RULE_NUMBERS
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
-from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import project_and_roll_out
 from smoothers.scp.qp_step import (
+    Linearization,
     Penalties,
     QpStep,
     Subproblem,
@@ -37,7 +36,7 @@ from smoothers.scp.visibility_constraint import linearized_view, view_along
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
@@ -62,21 +61,78 @@ class SearchGuess(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Variables with their roll-out and constraint values."""
+    """Variables with their roll-out and constraint values.
 
-    variables: Variables  # knot curvatures and gear lengths
-    rollout: Rollout
+    The arrays are views of `values` and `pairs`, which are the memory of the kernels. `values` has, in this order:
+    variables, roll-out (see `Rollout.packed`), end error, zones, the six numbers `cost` to `moved`, required clearance
+    (nodes,), its gradient (nodes, 2), the requirement by the growth from the start alone (nodes,), and
+    `Clearance.table`. `pairs` has the part of the rule at every node, and `Pairs`.
+    """
+
+    nlp: NonlinearProgram
+    values: FloatArray
+    pairs: IntArray
     cost: float  # value of the cost
-    clearance: Clearance  # near pairs
-    zones: FloatArray  # largest shortfall of clearance, view and hard terms in each zone, >= 0, Shape (zones,) [m]
-    end_error: FloatArray  # Shape (3,) [m, m, rad]
-    on_goal: bool  # whether the path ends at the target
-    feasible: bool  # whether the path may be certified
     shortfall: float  # largest shortfall of clearance, view or a hard term [m]
     short: float  # sum of the shortfalls in all zones [m]
     missed: float  # sum of the absolute end errors [m, rad]
+    moved: float  # largest change of a heading [rad] or length [m] since the iterate before, or 0
+    on_goal: bool  # whether the path ends at the target
+    feasible: bool  # whether the path may be certified
     view: SeenPlaces | None = None  # view margins, or None without a required view
     terms: TermsAlong | None = None  # terms of the user, or None
+
+    @classmethod
+    def of(
+        cls,
+        nlp: NonlinearProgram,
+        values: FloatArray,
+        pairs: IntArray,
+        view: SeenPlaces | None = None,
+        terms: TermsAlong | None = None,
+    ) -> Iterate:
+        """Return the iterate of these arrays."""
+        end, settings = nlp.packed.results, nlp.settings.loop
+        cost, shortfall, short, missed, off, moved = values[end : end + 6].tolist()
+        on_goal = off <= settings.goal_tolerance  # not so if an error is NaN
+        feasible = on_goal and shortfall <= settings.clearance_tolerance
+        return cls(nlp, values, pairs, cost, shortfall, short, missed, moved, on_goal, feasible, view, terms)
+
+    @property
+    def flat(self) -> FloatArray:
+        """Knot curvatures and gear lengths, Shape (size,)."""
+        return self.values[: self.nlp.basis.size]
+
+    @property
+    def variables(self) -> Variables:
+        """Knot curvatures and gear lengths."""
+        basis = self.nlp.basis
+        return Variables(self.values[: basis.num_knots], self.values[basis.num_knots : basis.size])
+
+    @property
+    def rollout(self) -> Rollout:
+        """The path at the nodes."""
+        basis = self.nlp.basis
+        length = 4 * basis.num_nodes + 6 * basis.num_intervals
+        return Rollout.within(self.values[basis.size : basis.size + length], basis)
+
+    @property
+    def zones(self) -> FloatArray:
+        """Largest shortfall of clearance, view and hard terms in each zone, >= 0, Shape (zones,) [m]."""
+        end = self.nlp.packed.results
+        return self.values[end - self.nlp.settings.step.zones : end]
+
+    @property
+    def end_error(self) -> FloatArray:
+        """Last pose minus the target, Shape (3,) [m, m, rad]."""
+        end = self.nlp.packed.results - self.nlp.settings.step.zones
+        return self.values[end - 3 : end]
+
+    @property
+    def clearance(self) -> Clearance:
+        """Near pairs."""
+        packed = self.nlp.packed
+        return packed.room.clearance(self.pairs, self.values[packed.results + 6 :])
 
     @property
     def missing(self) -> float:
@@ -118,9 +174,9 @@ def search(
     state = _State(settings, guess.trust_region, guess.proximal, guess.patience, penalties)
     if is_late():
         return
-    current = evaluated(nlp, guess.variables)[0] if guess.begun is None else guess.begun
+    current = evaluated(nlp, np.concatenate(guess.variables)) if guess.begun is None else guess.begun
     yield Progress(current, 0, finished=False)
-    around: Subproblem | None = None
+    around: Linearization | None = None
     for iteration in range(1, max_iterations + 1):
         if around is None:
             state.found = state.found or current.feasible
@@ -142,68 +198,49 @@ def search(
             return
 
 
-def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | None = None) -> tuple[Iterate, float]:
-    """Return the projected iterate of `variables`, and the largest change of a heading [rad] or length [m].
-
-    The change is measured from the iterate `before` and is 0 if that is None.
-    """
+def evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None = None) -> Iterate:
+    """Return the projected iterate of `variables`, Shape (size,); `moved` is its change since the iterate `before`."""
     return (_evaluated if nlp.is_compiled else _evaluated_by_numpy)(nlp, variables, before)
 
 
-def _evaluate_natively(nlp: NonlinearProgram, variables: Variables, before: Iterate | None) -> tuple[Iterate, float]:
-    (counts, numbers), basis, scene, zones = nlp.packed, nlp.basis, nlp.scene, nlp.settings.step.zones
-    nodes, size, room = basis.num_nodes, basis.size, nlp.room
-    along = 4 * nodes + 6 * basis.num_intervals
-    given = variables if before is None else (*variables, before.rollout.packed[: 3 * nodes], before.variables.lengths)
-    start = size + along
-    pairs = np.empty(nodes + 3 * room.pairs, dtype=np.int64)
-    out = np.empty(start + zones + 8 + 4 * nodes + room.width * room.pairs)
-    work, indices = pool_of_this_thread().work(max(room.work, 12 * size + basis.num_gears + 6 + along), room.indices)
+def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
+    packed, basis, size, nodes = nlp.packed, nlp.basis, nlp.basis.size, nlp.basis.num_nodes
+    room, table = packed.room, packed.results + 6 + 4 * nodes
+    pairs, values = np.empty(nodes + 3 * room.pairs, dtype=np.int64), np.empty(table + room.width * room.pairs)
+    work, indices = pool_of_this_thread().work(max(room.work, 12 * size + packed.results), room.indices)
+    earlier = variables if before is None else before.values
     arrays = (
-        (counts, counts.size),
-        (numbers, numbers.size),
+        (packed.counts, packed.counts.size),
+        (packed.numbers, packed.numbers.size),
         (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
-        (scene.packed, room.scene),
-        (np.concatenate(given), size if before is None else size + 3 * nodes + basis.num_gears),
+        (nlp.scene.packed, room.scene),
+        (variables, size),
+        (earlier, earlier.size),
         (pairs, pairs.size),
-        (out, out.size),
+        (values, values.size),
         (work, work.size),
         (indices, indices.size),
     )
     p = _EVALUATE((before is not None,), (), arrays)
-    found = room.clearance(pairs, out[start + zones + 8 :], p)
-    cost, shortfall, short, missed, moved = out[start + zones + 3 : start + zones + 8].tolist()
-    error, rollout = out[start : start + 3], Rollout.within(out[size:start], basis)
-    projected = Variables(out[: basis.num_knots], out[basis.num_knots : size])
-    reached = _reached(nlp.settings.loop, error, shortfall)
-    zone = out[start + 3 : start + 3 + zones]
-    return Iterate(projected, rollout, cost, found, zone, error, *reached, shortfall, short, missed), moved
+    return Iterate.of(nlp, values[: table + room.width * p], pairs[: nodes + 3 * p])
 
 
-def _evaluated_by_numpy(nlp: NonlinearProgram, variables: Variables, before: Iterate | None) -> tuple[Iterate, float]:
-    settings = nlp.settings.loop
-    variables, rollout = project_and_roll_out(nlp, variables)
+def _evaluated_by_numpy(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
+    settings, knots = nlp.settings.loop, nlp.basis.num_knots
+    projected, rollout = project_and_roll_out(nlp, Variables(variables[:knots], variables[knots:]))
     moved, reach = 0.0, settings.reach
     if before is not None:
         turned = np.maximum.reduce(np.abs(rollout.poses[:, 2] - before.rollout.poses[:, 2]))
-        stretched = np.maximum.reduce(np.abs(variables.lengths - before.variables.lengths))
+        stretched = np.maximum.reduce(np.abs(projected.lengths - before.variables.lengths))
         moved = max(float(turned), float(stretched))
         reach = min(settings.most_reach, settings.reach_per_motion * moved + settings.least_reach)
-    return judged(nlp, variables, rollout, reach), moved
+    return judged(nlp, projected, rollout, reach, moved)
 
 
 _evaluated = twin_of(_evaluate_natively)(_evaluated_by_numpy)
 
 
-def _reached(settings: LoopSettings, error: FloatArray, shortfall: float) -> tuple[bool, bool]:
-    """Return whether a path with this error and shortfall ends at the target, and whether it is feasible."""
-    x, y, yaw = error.tolist()
-    most = settings.goal_tolerance
-    on_goal = abs(x) <= most and abs(y) <= most and abs(yaw) <= most  # not so if one is NaN
-    return on_goal, on_goal and shortfall <= settings.clearance_tolerance
-
-
-def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
+def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float, moved: float = 0.0) -> Iterate:
     """Return the iterate of a roll-out; pairs with more than `reach` [m] above the required clearance are left out."""
     settings, scene, basis = nlp.settings.loop, nlp.scene, nlp.basis
     found = clearance_along(scene, basis, rollout, nlp.ends.signs, reach + scene.rule.required)
@@ -225,66 +262,52 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         terms.short[[0, -1]] -= settings.end_allowance  # as above
         np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
         cost += terms.cost
-    error, shortfall = nlp.ends.error(rollout), float(np.maximum.reduce(zones))
-    reached, sums = _reached(settings, error, shortfall), (float(in_order(zones)), float(in_order(np.abs(error))))
-    return Iterate(variables, rollout, cost, found, zones, error, *reached, shortfall, *sums, view, terms)
+    error, required = nlp.ends.error(rollout), found.required
+    missed = np.abs(error)
+    results = cost, zones.max(), in_order(zones), in_order(missed), missed.max(), moved
+    parts = *variables, rollout.packed, error, zones, np.array(results), required.value, required.gradient
+    values = np.concatenate((*parts, required.leaving, found.table), axis=None)
+    return Iterate.of(nlp, values, np.concatenate((required.rule, *pairs)), view, terms)
 
 
-def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
+def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
     """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
     return (_linearized if nlp.is_compiled else _linearized_by_numpy)(nlp, current, buffer)
 
 
-def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
-    (counts, numbers), basis, scene, size = nlp.packed, nlp.basis, nlp.scene, nlp.basis.size
-    found, step, nodes = current.clearance, nlp.settings.step, basis.num_nodes
-    shape, (parts, v, _), (obstacles, k, _) = (
-        found.table.shape,
-        scene.body.vertices.shape,
-        scene.obstacles.vertices.shape,
-    )
-    p, most = shape[1], step.clearance_rows[-1]
-    room, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
-    start = size * (2 * size + 1)
-    headings = start + 3 * size
-    gap = headings + trusted_nodes(basis, step).size * size
-    node, out = np.empty(most, dtype=np.int64), np.empty(gap + most * (size + 1))
+def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
+    packed, basis, scene, size, nodes = nlp.packed, nlp.basis, nlp.scene, nlp.basis.size, nlp.basis.num_nodes
+    room, trusted, most = packed.room, packed.trusted, nlp.settings.step.clearance_rows[-1]
+    p, parts, obstacles = (current.pairs.size - nodes) // 3, len(scene.body.vertices), len(scene.obstacles.vertices)
+    rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
+    start = size * (2 * size + 5 + trusted) + 3
+    node, values = np.empty(most, dtype=np.int64), np.empty(start + most * (1 + size))
     work, indices = pool_of_this_thread().work(
-        size * (3 * nodes + 4) + room * (size + 2) + 3 * discs + 9 * p + 4 * (2 * v + k),
-        15 * p + (parts + nodes) * obstacles + 2 * room,
+        size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width,
+        15 * p + (parts + nodes) * obstacles + 2 * rows,
     )
     arrays = (
-        (counts, counts.size),
-        (numbers, numbers.size),
+        (packed.counts, packed.counts.size),
+        (packed.numbers, packed.numbers.size),
         (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
-        (scene.packed, parts * (5 * v + 4) + obstacles * (4 * k + 4) + RULE_NUMBERS),
-        (np.concatenate(current.variables), size),
-        (current.rollout.packed, 4 * nodes + 6 * basis.num_intervals),
-        (found.required.value, nodes),
-        (found.required.gradient, 2 * nodes),
-        (found.pairs.interval, p),
-        (found.pairs.part, p),
-        (found.pairs.obstacle, p),
-        (found.table, (6 * v + 2 * k + 4) * p),
+        (scene.packed, room.scene),
+        (current.values, packed.results + 6 + 4 * nodes + room.width * p),
+        (current.pairs, nodes + 3 * p),
         (node, most),
-        (out, out.size),
+        (values, values.size),
         (indices, indices.size),
         (work, work.size),
     )
     count = _LINEARIZE((p,), (buffer,), arrays)
-    quadratic = Quadratic(out[:size], out[size : size + size * size].reshape(size, size))
-    motion = out[size + size * size : start].reshape(size, size)
-    goal = out[start:headings].reshape(3, size), current.end_error
-    rows = out[gap + most : gap + most + count * size].reshape(count, size)
-    bounded = ClearanceRows(rows, out[gap : gap + count], node[:count])
-    return Subproblem(current.variables, quadratic, motion, goal, out[headings:gap].reshape(-1, size), bounded)
+    return Linearization(values[: start + count * (1 + size)], node[:count], basis, trusted)
 
 
-def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Subproblem:
+def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
-    by = sensitivity(basis, current.variables, rollout)
+    variables = current.variables
+    by = sensitivity(basis, variables, rollout)
     goal = np.array((by.x[-1], by.y[-1], by.yaw[-1])), current.end_error
-    share = float(in_order(current.variables.lengths)) / basis.num_intervals
+    share = float(in_order(variables.lengths)) / basis.num_intervals
     motion = share * squared_motion(by, settings.yaw_motion)
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
@@ -292,10 +315,10 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     if nlp.view is not None and current.view is not None:
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
         rows = rows.joined(seeing)
-    quadratic = nlp.cost.quadratic(current.variables, rollout, by)
+    quadratic = nlp.cost.quadratic(variables, rollout, by)
     if nlp.terms is not None and current.terms is not None:
         points, reach = current.terms.points, nlp.settings.view.reach
-        added, bounded = linearized_terms(nlp.terms, basis, current.variables, points, by, reach)
+        added, bounded = linearized_terms(nlp.terms, basis, variables, points, by, reach)
         rows, quadratic = rows.joined(bounded), quadratic.plus(added)
     rows = rows.lowest(most)
     # The buffer vanishes at the ends, where the pose cannot move.
@@ -304,7 +327,8 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
     wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
     rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
-    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
+    headings = by.yaw[trusted_nodes(basis, settings)]
+    return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows))
 
 
 _linearized = twin_of(_linearize_natively)(_linearized_by_numpy)
@@ -315,12 +339,11 @@ def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, stat
     if step is None:
         state.reject(state.trust_region)
         return None
-    knots, (curvature, lengths) = nlp.basis.num_knots, current.variables
-    trial, moved = evaluated(nlp, Variables(curvature + step.change[:knots], lengths + step.change[knots:]), current)
+    trial = evaluated(nlp, current.flat + step.change, current)
     if trial.merit(state.penalties) < current.merit(state.penalties):
         state.accept()
         return trial
-    state.reject(moved)
+    state.reject(trial.moved)
     return None
 
 

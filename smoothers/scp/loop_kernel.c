@@ -170,62 +170,77 @@ static double moved_from(const Program *p, const double *poses, const double *z,
     return most(turned, stretched);
 }
 
+/* The array of an iterate, see `Iterate.values`. */
+typedef struct {
+    double *z, *rollout, *error, *zones; /* (size,), see `Rollout.packed`, (3,), (zones,) */
+    double *cost, *shortfall, *short_of, *missed, *off, *moved; /* one number each */
+    double *required, *slope, *table; /* requirement (nodes,), its gradient (nodes, 2); see `Clearance.table` */
+} Values;
+
+static Values values_of(const Program *p, double *values)
+{
+    double *error = values + p->size + 4 * p->n.nodes + 6 * p->n.intervals, *found = error + 3 + p->n.zones;
+    double *required = found + 6;
+    return (Values){values,    values + p->size, error,     error + 3, found,    found + 1,
+                    found + 2, found + 3,        found + 4, found + 5, required, required + p->n.nodes,
+                    required + 4 * p->n.nodes};
+}
+
 /* Evaluate variables, as the function `evaluated`.
  *
  *   has_before   whether the change is measured
  *   counts, numbers   see `PackedProgram`; basis, scene: `Basis.packed` and `Scene.packed`
- *   given        variables (size,), then poses (nodes, 3) and lengths (gears,) of the iterate before, if there is one
+ *   given        variables (size,)
+ *   before       array of the iterate before, see `Iterate.values`, if there is one
  *   pairs        out, see `optdock_clearance_along`
- *   out          out: projected variables (size,), roll-out (4 nodes + 6 intervals,), error at the end (3,), zones (zones,),
- *                cost, largest and total shortfall, total error at the end, change; requirement and table, see
- *                `optdock_clearance_along`
+ *   out          out, see `Iterate.values`
  *   work         12 size + gears + 6 + 4 nodes + 6 intervals, or those of `optdock_clearance_along` if more
  *   indices      work, see `optdock_clearance_along`
  *
  * Return the number of pairs. */
 int64_t optdock_evaluate(int64_t has_before, const int64_t *counts, const double *numbers, const double *basis,
-                         const double *scene, const double *given, int64_t *pairs, double *out, double *work,
-                         int64_t *indices)
+                         const double *scene, const double *given, const double *before, int64_t *pairs, double *out,
+                         double *work, int64_t *indices)
 {
     Program p = program_of(counts, numbers);
+    Values to = values_of(&p, out);
     int64_t size = p.size, nodes = p.n.nodes, length = 4 * nodes + 6 * p.n.intervals, bounds = 4 * size + p.n.gears + 6;
-    double *z = out, *rollout = z + size, *error = rollout + length, *zones = error + 3, *results = zones + p.n.zones;
-    double *found = work + size + bounds, reach = p.is.reach, moved = 0.0;
+    double *found = work + size + bounds, reach = p.is.reach;
     copy(work, given, size);
     copy(work + size, p.ends, bounds);
     optdock_project_and_roll_out(p.n.gears, p.n.knots, nodes, p.n.intervals, p.n.most_steps, p.n.alternations,
                                  p.is.tolerance, p.is.renew, p.is.contraction, p.is.goal_reach, p.is.rate,
                                  p.is.inner_rate, basis, p.divisions, work, found);
-    copy(rollout, found, length);
-    copy(z, found + length, size);
+    copy(to.rollout, found, length);
+    copy(to.z, found + length, size);
+    *to.moved = 0.0;
     if (has_before) {
-        moved = moved_from(&p, rollout, z, given + size, given + size + 3 * nodes);
-        reach = least(p.is.most_reach, p.is.reach_per_motion * moved + p.is.least_reach);
+        *to.moved = moved_from(&p, to.rollout, to.z, before + size, before + p.n.knots);
+        reach = least(p.is.most_reach, p.is.reach_per_motion * *to.moved + p.is.least_reach);
     }
-    double *table = results + 5;
     int64_t count = optdock_clearance_along(p.n.parts, p.n.v, p.n.obstacles, p.n.k, nodes, p.n.intervals, p.n.few,
                                             p.n.nearest, p.n.nearest_close, p.n.together, p.n.lowest_vertices,
                                             p.is.radius, reach + p.is.required, p.is.close, p.is.lowest_slope, scene,
-                                            rollout, p.signs, p.left, pairs, table, work, indices);
-    const double *margin = table + 4 * nodes + (6 * p.n.v + 2 * p.n.k + 3) * count;
+                                            to.rollout, p.signs, p.left, pairs, to.required, work, indices);
+    const double *margin = to.table + (6 * p.n.v + 2 * p.n.k + 3) * count;
     const int64_t *interval = pairs + nodes;
     for (int64_t i = 0; i < p.n.zones; i++)
-        zones[i] = 0.0;
+        to.zones[i] = 0.0;
     for (int64_t i = 0; i < count; i++) {
-        double *zone = zones + zone_of(&p, p.left[interval[i]]);
+        double *zone = to.zones + zone_of(&p, p.left[interval[i]]);
         int is_end = interval[i] == 0 || interval[i] == p.n.intervals - 1;
         *zone = most(*zone, (is_end ? -p.is.end_allowance : 0.0) - margin[i]);
     }
-    double shortfall = zones[0];
-    for (int64_t i = 1; i < p.n.zones; i++)
-        shortfall = most(shortfall, zones[i]);
-    for (int64_t i = 0; i < 3; i++)
-        error[i] = rollout[3 * (nodes - 1) + i] - p.target[i];
-    results[0] = cost_of(&p, z, rollout);
-    results[1] = shortfall;
-    results[2] = sum_of(zones, p.n.zones);
-    results[3] = fabs(error[0]) + fabs(error[1]) + fabs(error[2]);
-    results[4] = moved;
+    *to.shortfall = *to.off = *to.missed = 0.0;
+    for (int64_t i = 0; i < p.n.zones; i++)
+        *to.shortfall = most(*to.shortfall, to.zones[i]);
+    for (int64_t i = 0; i < 3; i++) {
+        to.error[i] = to.rollout[3 * (nodes - 1) + i] - p.target[i];
+        *to.missed += fabs(to.error[i]);
+        *to.off = most(*to.off, fabs(to.error[i]));
+    }
+    *to.cost = cost_of(&p, to.z, to.rollout);
+    *to.short_of = sum_of(to.zones, p.n.zones);
     return count;
 }
 
@@ -509,7 +524,7 @@ static double buffer_at(const Program *p, const double *pose, double buffer)
     return buffer * least(1.0, least(from_start, to_target) / p->is.taper);
 }
 
-/* Write the rows of the active pairs to `out`: gaps (most,) and gradients (most, size), and their nodes. Return their
+/* Write the rows of the active pairs to `out`, each a gap and a gradient, (rows, 1 + size), and their nodes. Return their
  * number. ints, work: see `optdock_linearize`. */
 static int64_t clearance_rows(const Program *p, const Iterate *at, const Sensitivity *by, double buffer,
                               const double *scene, int64_t *node, double *out, int64_t *ints, double *work)
@@ -532,59 +547,66 @@ static int64_t clearance_rows(const Program *p, const Iterate *at, const Sensiti
     count = keep_smallest(rows.gap, kept, count, p->n.most, chosen_from);
     for (int64_t i = 0; i < count; i++) {
         node[i] = rows.node[kept[i]];
-        out[i] = rows.gap[kept[i]] - buffer_at(p, at->rollout + 3 * node[i], buffer);
-        copy(out + p->n.most + i * size, rows.gradient + kept[i] * size, size);
+        out[i * (1 + size)] = rows.gap[kept[i]] - buffer_at(p, at->rollout + 3 * node[i], buffer);
+        copy(out + i * (1 + size) + 1, rows.gradient + kept[i] * size, size);
     }
     return count;
 }
 
+/* The array of a linearization, see `Linearization.values`. */
+typedef struct {
+    double *z, *error, *gradient, *hessian, *motion, *jacobian, *headings, *rows;
+} Model;
+
+static Model model_of(const Program *p, double *values)
+{
+    int64_t size = p->size;
+    double *gradient = values + size + 3, *motion = gradient + size + size * size, *jacobian = motion + size * size;
+    double *headings = jacobian + 3 * size;
+    return (Model){values, values + size, gradient, gradient + size,
+                   motion, jacobian,      headings, headings + p->n.trusted * size};
+}
+
 /* Linearize at an iterate, as the function `linearized`.
  *
- *   pairs        their number p
+ *   count        number of pairs p
  *   buffer       clearance [m] above the requirement
  *   counts, numbers   see `PackedProgram`; basis, scene: `Basis.packed` and `Scene.packed`
- *   z            variables, (size,); rollout: `Rollout.packed`
- *   required     requirement, (nodes,); slope: its gradient, (nodes, 2)
- *   interval, part, obstacle   (p,)
- *   table        (6 v + 2 k + 4, p), see `Clearance.table`
+ *   values       array of the iterate, see `Iterate.values`
+ *   pairs        see `optdock_clearance_along`
  *   node         out, (most,), nodes of the rows
- *   out          out: gradient (size,), Hessian and motion (size, size), derivatives at the end (3, size), derivatives of
- *                the trusted headings (trusted, size), gaps (most,) and gradients (most, size) of the rows
+ *   out          out, see `Linearization.values`, with space for `most` rows
  *   ints         work: 3 p + (parts + nodes) obstacles + 2 room + 12 p, room = (3 + 2 discs_per_node) p
  *   work         3 nodes size + 4 size + room (size + 2) + 3 discs + 9 p + 4 (2 v + k)
  *
  * Return the number of rows. */
-int64_t optdock_linearize(int64_t pairs, double buffer, const int64_t *counts, const double *numbers,
-                          const double *basis, const double *scene, const double *z, const double *rollout,
-                          const double *required, const double *slope, const int64_t *interval, const int64_t *part,
-                          const int64_t *obstacle, const double *table, int64_t *node, double *out, int64_t *ints,
-                          double *work)
+int64_t optdock_linearize(int64_t count, double buffer, const int64_t *counts, const double *numbers,
+                          const double *basis, const double *scene, double *values, const int64_t *pairs,
+                          int64_t *node, double *out, int64_t *ints, double *work)
 {
     Program p = program_of(counts, numbers);
+    Values from = values_of(&p, values);
+    Model to = model_of(&p, out);
     int64_t size = p.size, nodes = p.n.nodes, last = (nodes - 1) * size;
-    Iterate at = {z, rollout, required, slope, pairs, interval, part, obstacle, table,
-                  table + (6 * p.n.v + 2 * p.n.k + 3) * pairs};
+    const int64_t *interval = pairs + nodes;
+    Iterate at = {from.z, from.rollout, from.required, from.slope, count, interval, interval + count,
+                  interval + 2 * count, from.table, from.table + (6 * p.n.v + 2 * p.n.k + 3) * count};
     const Sensitivity by = {work, work + nodes * size, work + 2 * nodes * size};
-    double *next = work + 3 * nodes * size, *jacobian = out + size + 2 * size * size, *headings = jacobian + 3 * size;
-    optdock_sensitivity(p.n.gears, p.n.knots, nodes, p.n.intervals, basis, p.divisions, z,
-                        rollout + 4 * nodes + 2 * p.n.intervals, work, next);
-    quadratic_model(&p, &at, &by, out, next);
-    copy(jacobian, by.x + last, size);
-    copy(jacobian + size, by.y + last, size);
-    copy(jacobian + 2 * size, by.yaw + last, size);
+    double *next = work + 3 * nodes * size;
+    optdock_sensitivity(p.n.gears, p.n.knots, nodes, p.n.intervals, basis, p.divisions, from.z,
+                        from.rollout + 4 * nodes + 2 * p.n.intervals, work, next);
+    copy(to.z, from.z, size);
+    copy(to.error, from.error, 3);
+    quadratic_model(&p, &at, &by, to.gradient, next);
+    copy(to.jacobian, by.x + last, size);
+    copy(to.jacobian + size, by.y + last, size);
+    copy(to.jacobian + 2 * size, by.yaw + last, size);
     for (int64_t i = 0; i < p.n.trusted; i++)
-        copy(headings + i * size, by.yaw + p.trusted[i] * size, size);
-    return clearance_rows(&p, &at, &by, buffer, scene, node, headings + p.n.trusted * size, ints, next);
+        copy(to.headings + i * size, by.yaw + p.trusted[i] * size, size);
+    return clearance_rows(&p, &at, &by, buffer, scene, node, to.rows, ints, next);
 }
 
 /* ---- Step ---- */
-
-/* A linearization, see `Subproblem`. */
-typedef struct {
-    int64_t rows;
-    const double *z, *gradient, *hessian, *motion, *jacobian, *error, *headings, *row, *gap;
-    const int64_t *node;
-} Subproblem;
 
 /* Trust region [rad], largest change of a length [m], weight of the squared motion, and penalties. */
 typedef struct {
@@ -607,7 +629,7 @@ static double *append_row(Quadratic *q, const double *elements, int64_t count, d
     return row;
 }
 
-static void fill_cost_and_box(const Program *p, const Subproblem *at, Bounds within, Quadratic *q)
+static void fill_cost_and_box(const Program *p, const Model *at, Bounds within, Quadratic *q)
 {
     int64_t size = p->size;
     for (int64_t i = 0; i < size; i++) {
@@ -633,7 +655,7 @@ static void fill_cost_and_box(const Program *p, const Subproblem *at, Bounds wit
 }
 
 /* Append the rows of the curvature rate, or those of its negative. */
-static void append_rates(const Program *p, const Subproblem *at, double sign, double unbounded, Quadratic *q)
+static void append_rates(const Program *p, const Model *at, double sign, double unbounded, Quadratic *q)
 {
     for (int64_t m = 0, knot = 0; m < p->n.gears; m++, knot++) {
         double spans = (double)p->divisions[2 * m], allowed = p->is.inner_rate * at->z[p->n.knots + m];
@@ -647,7 +669,7 @@ static void append_rates(const Program *p, const Subproblem *at, double sign, do
     }
 }
 
-static void fill(const Program *p, const Subproblem *at, Bounds within, Quadratic *q)
+static void fill(const Program *p, const Model *at, int64_t rows, const int64_t *node, Bounds within, Quadratic *q)
 {
     fill_cost_and_box(p, at, within, q);
     for (int64_t i = 0; i < 3; i++) {
@@ -661,9 +683,10 @@ static void fill(const Program *p, const Subproblem *at, Bounds within, Quadrati
         append_rates(p, at, 1.0, within.unbounded, q);
         append_rates(p, at, -1.0, within.unbounded, q);
     }
-    for (int64_t i = 0; i < at->rows; i++)
-        append_row(q, at->row + i * p->size, p->size, -at->gap[i], within.unbounded)[p->size + 6 +
-                                                                                     zone_of(p, at->node[i])] = 1.0;
+    for (int64_t i = 0; i < rows; i++) {
+        const double *row = at->rows + i * (1 + p->size);
+        append_row(q, row + 1, p->size, -row[0], within.unbounded)[p->size + 6 + zone_of(p, node[i])] = 1.0;
+    }
 }
 
 /* Solve the program of a step, as the function `solve_step`.
@@ -673,7 +696,7 @@ static void fill(const Program *p, const Subproblem *at, Bounds within, Quadrati
  *   trust ... of_goal       see `Bounds`
  *   unbounded, tolerance, attained   see `optdock_minimizer`
  *   counts, numbers   see `PackedProgram`
- *   z, gradient, hessian, motion, jacobian, error, headings, row, gap, node   see `Subproblem`
+ *   values, node   see `Linearization`
  *   guess        (guessed,)
  *   ints         out and work: attained constraints, see `optdock_minimizer`, 5 n + 6 m + 1, then guessed
  *   doubles      out and work: minimizer and work of `optdock_minimizer`, (n + 1) (2 n + 7) + 16 n + 2 m + 9 n^2, then
@@ -683,21 +706,19 @@ static void fill(const Program *p, const Subproblem *at, Bounds within, Quadrati
  * attained constraints, or -1 if no minimizer is found. */
 int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds, double trust, double stretch,
                      double proximal, double of_clearance, double of_goal, double unbounded, double tolerance,
-                     double attained, const int64_t *counts, const double *numbers, const double *z,
-                     const double *gradient, const double *hessian, const double *motion, const double *jacobian,
-                     const double *error, const double *headings, const double *row, const double *gap,
+                     double attained, const int64_t *counts, const double *numbers, double *values,
                      const int64_t *node, const int64_t *guess, int64_t *ints, double *doubles)
 {
     Program p = program_of(counts, numbers);
+    Model at = model_of(&p, values);
     int64_t rates = p.n.is_limited ? p.n.knots - p.n.gears : 0, kept = 0;
     int64_t n = p.size + 6 + p.n.zones, m = 3 + p.n.trusted + 2 * rates + rows;
     int64_t *guesses = ints + 5 * n + 6 * m + 1;
     double *gain = doubles + (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n, *h = gain + 1;
     Quadratic q = {n, 0, h, h + n * n, h + n * n + n, h + n * n + n + m * n, h + n * n + n + m * n + n + m};
-    Subproblem at = {rows, z, gradient, hessian, motion, jacobian, error, headings, row, gap, node};
     for (int64_t i = 0; i < n * n + n + m * n; i++)
         h[i] = 0.0;
-    fill(&p, &at, (Bounds){trust, stretch, proximal, of_clearance, of_goal, unbounded}, &q);
+    fill(&p, &at, rows, node, (Bounds){trust, stretch, proximal, of_clearance, of_goal, unbounded}, &q);
     for (int64_t i = 0; i < n + m; i++)
         if (!(q.lower[i] <= q.upper[i]))
             return -1;
@@ -713,7 +734,7 @@ int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds
     if (found < 0)
         return -1;
     for (int64_t i = 0; i < p.size; i++)
-        model += doubles[i] * dot(hessian + i * p.size, doubles, p.size);
-    *gain = -(dot(gradient, doubles, p.size) + 0.5 * model);
+        model += doubles[i] * dot(at.hessian + i * p.size, doubles, p.size);
+    *gain = -(dot(at.gradient, doubles, p.size) + 0.5 * model);
     return found;
 }

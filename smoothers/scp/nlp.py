@@ -23,7 +23,7 @@ from optdock.geometry.arrays import frozen, readonly
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
 from smoothers.scp.basis import basis_for
-from smoothers.scp.collision.clearance_along import Room, evaluates_all_edges
+from smoothers.scp.collision.clearance_along import evaluates_all_edges
 from smoothers.scp.cost import CostModel, InputNodes
 from smoothers.scp.packed_program import packed
 
@@ -114,11 +114,6 @@ class NonlinearProgram:
     def packed(self) -> PackedProgram:
         """Constants of the program for kernels."""
         return packed(self)
-
-    @cached_property
-    def room(self) -> Room:
-        """Sizes of the arrays of the kernel for clearance."""
-        return Room.of(self.scene, self.basis)
 
     @cached_property
     def is_compiled(self) -> bool:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from smoothers.scp.collision.linearization import covering_discs, small_obstacles
+from smoothers.scp.collision.clearance_along import Room
+from smoothers.scp.collision.linearization import small_obstacles
 from smoothers.scp.qp_step import trusted_nodes
 
 if TYPE_CHECKING:
@@ -18,17 +19,20 @@ __all__ = ["PackedProgram", "packed"]
 
 
 class PackedProgram(NamedTuple):
-    """Integers and numbers in the order of `Counts`, `Numbers` and `Program` of the kernel, Shape (any,) each."""
+    """The constants of a program."""
 
-    counts: IntArray
-    numbers: FloatArray
+    counts: IntArray  # in the order of `Counts` and `Program` of the kernel, Shape (any,)
+    numbers: FloatArray  # in the order of `Numbers` and `Program`, Shape (any,)
+    room: Room  # sizes of the arrays of the kernel for clearance
+    results: int  # index of the cost in `Iterate.values`
+    trusted: int  # number of headings that the trust region bounds
 
 
 def packed(nlp: NonlinearProgram) -> PackedProgram:
     """Return the constants of a program; the first integers and numbers are those of the kernel's structures."""
     basis, scene, near, step = nlp.basis, nlp.scene, nlp.scene.settings, nlp.settings.step
     (parts, v, _), (obstacles, k, _) = scene.body.vertices.shape, scene.obstacles.vertices.shape
-    trusted, discs = trusted_nodes(basis, step), _discs(nlp)
+    trusted = trusted_nodes(basis, step)
     selection = near.few_pairs, near.nearest, near.nearest_close, near.grouped_intervals, near.lowest_vertices
     active = near.few_planes, near.thins_small_obstacles, near.discs_per_node, near.most_discs
     projection = nlp.settings.projection
@@ -42,11 +46,12 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
             basis.left,
             trusted,
             small_obstacles(scene).astype(np.int64),
-            np.array([len(centres) for centres, _ in discs], dtype=np.int64),
+            [len(centres) for centres, _ in scene.body.discs],
         )
     )
-    numbers = np.concatenate((_numbers(nlp), *_arrays(nlp, discs)), axis=None)
-    return PackedProgram(readonly(counts), readonly(numbers))
+    numbers = np.concatenate((_numbers(nlp), *_arrays(nlp)), axis=None)
+    results = basis.size + 4 * basis.num_nodes + 6 * basis.num_intervals + 3 + step.zones
+    return PackedProgram(readonly(counts), readonly(numbers), Room.of(scene, basis), results, trusted.size)
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:
@@ -63,7 +68,8 @@ def _numbers(nlp: NonlinearProgram) -> FloatArray:
     return np.array((*body, near.lowest_slope, *deep, *rows, *goal, *rates, *reach, *others, *slacks))
 
 
-def _arrays(nlp: NonlinearProgram, discs: list[tuple[FloatArray, float]]) -> list[FloatArray]:
+def _arrays(nlp: NonlinearProgram) -> list[FloatArray]:
+    discs = nlp.scene.body.discs
     centres = np.zeros((len(discs), nlp.scene.settings.most_discs, 2))
     for places, (found, _) in zip(centres, discs, strict=True):
         places[: len(found)] = found
@@ -71,7 +77,3 @@ def _arrays(nlp: NonlinearProgram, discs: list[tuple[FloatArray, float]]) -> lis
     bounds = outer.lower, outer.upper, inner.lower, inner.upper
     radii = np.array([radius for _, radius in discs])
     return [ends.start, ends.signs, ends.target, *bounds, *nlp.cost.hessians, *nlp.cost.reference, radii, centres]
-
-
-def _discs(nlp: NonlinearProgram) -> list[tuple[FloatArray, float]]:
-    return [covering_discs(vertices, nlp.scene.settings.most_discs) for vertices in nlp.scene.body.vertices]

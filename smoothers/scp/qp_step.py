@@ -35,19 +35,19 @@ from optdock.quadratic_program import (
     minimizer,
 )
 from smoothers.scp.basis import basis_for
-from smoothers.scp.rollout import in_order
+from smoothers.scp.collision.linearization import ClearanceRows
+from smoothers.scp.cost import Quadratic
+from smoothers.scp.rollout import Variables, in_order
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
-    from smoothers.scp.collision.linearization import ClearanceRows
-    from smoothers.scp.cost import Quadratic
     from smoothers.scp.nlp import NonlinearProgram, VariableBounds
-    from smoothers.scp.rollout import Variables
     from smoothers.scp.settings import StepSettings
 
 __all__ = [
     "Blocks",
+    "Linearization",
     "Penalties",
     "ProgramPool",
     "QpStep",
@@ -131,7 +131,7 @@ def _trust_rows(basis: Basis, settings: StepSettings) -> int:
 
 
 class Subproblem(NamedTuple):
-    """One linearization, which is reused after a rejected step."""
+    """The parts of a linearization."""
 
     variables: Variables  # point of the linearization
     quadratic: Quadratic
@@ -141,34 +141,60 @@ class Subproblem(NamedTuple):
     rows: ClearanceRows  # clearance
 
 
+class Linearization(NamedTuple):
+    """One linearization, which is reused after a rejected step, in the memory of the kernels.
+
+    `values` has, in this order: variables (size,), end error (3,), gradient (size,), Hessian and squared motion (size,
+    size) each, derivatives of the last pose (3, size) and of the trusted headings (trusted, size), and the rows of
+    clearance, each a gap and a gradient, (r, 1 + size).
+    """
+
+    values: FloatArray
+    node: IntArray  # nodes of the rows, Shape (r,)
+    basis: Basis
+    trusted: int
+
+    @classmethod
+    def of(cls, basis: Basis, parts: Subproblem) -> Linearization:
+        """Return the linearization of these parts."""
+        (jacobian, error), rows = parts.goal, parts.rows
+        given = *parts.variables, error, *parts.quadratic, parts.motion, jacobian, parts.headings
+        values = np.concatenate((*given, np.column_stack((rows.gap, rows.gradient))), axis=None)
+        return cls(values, rows.node, basis, len(parts.headings))
+
+    @property
+    def parts(self) -> Subproblem:
+        """The parts, as views."""
+        basis, size = self.basis, self.basis.size
+        counts = basis.num_knots, basis.num_gears, 3, size, size * size, size * size, 3 * size, self.trusted * size
+        curvature, lengths, error, gradient, *matrices, rows = np.split(self.values, np.cumsum(counts))
+        hessian, motion, jacobian, headings = (elements.reshape(-1, size) for elements in matrices)
+        rows = rows.reshape(-1, 1 + size)
+        bounded = ClearanceRows(rows[:, 1:], rows[:, 0], self.node)
+        model = Quadratic(gradient, hessian)
+        return Subproblem(Variables(curvature, lengths), model, motion, (jacobian, error), headings, bounded)
+
+
 def solve_natively(
     nlp: NonlinearProgram,
-    around: Subproblem,
+    around: Linearization,
     pool: ProgramPool,
     trust_region: float,
     proximal: float,
     penalties: Penalties,
 ) -> QpStep | None:
     """Return the result of `solve_step`, whose arguments are the same, by the kernel."""
-    (counts, numbers), basis, step, count = nlp.packed, nlp.basis, nlp.settings.step, around.rows.gap.size
-    size, spans, trusted = basis.size, basis.span_gear.size, len(around.headings)
+    packed, basis, step, count = nlp.packed, nlp.basis, nlp.settings.step, around.node.size
+    size, spans, trusted = basis.size, basis.span_gear.size, around.trusted
     n, fixed = size + 6 + step.zones, 3 + trusted + (2 * spans if math.isfinite(nlp.inner_bounds.rate) else 0)
     m, (guess, last) = fixed + count, _guess(pool.latest, nlp, around, n, fixed)
     ints, solved = 5 * n + 6 * m + 1, (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n
     work, indices = pool.work(solved + 1 + n * n + n + m * n + 2 * (n + m), ints + guess.size)
     arrays = (
-        (counts, counts.size),
-        (numbers, numbers.size),
-        (np.concatenate(around.variables), size),
-        (around.quadratic.gradient, size),
-        (around.quadratic.hessian, size * size),
-        (around.motion, size * size),
-        (around.goal[0], 3 * size),
-        (around.goal[1], 3),
-        (around.headings, trusted * size),
-        (around.rows.gradient, count * size),
-        (around.rows.gap, count),
-        (around.rows.node, count),
+        (packed.counts, packed.counts.size),
+        (packed.numbers, packed.numbers.size),
+        (around.values, size * (2 * size + 5 + trusted) + 3 + count * (1 + size)),
+        (around.node, count),
         (guess, guess.size),
         (indices, indices.size),
         (work, work.size),
@@ -177,14 +203,14 @@ def solve_natively(
     found = _KERNEL((count, guess.size, last, MOST_ROUNDS), bounds, arrays)
     if found < 0:
         return _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
-    pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, indices[:found].copy())
+    pool.latest = _ActiveRows(nlp.inner_bounds, around, indices[:found].copy())
     return QpStep(work[:size].copy(), float(work[solved]))
 
 
 @twin_of(solve_natively)
 def solve_step(
     nlp: NonlinearProgram,
-    around: Subproblem,
+    around: Linearization,
     pool: ProgramPool,
     trust_region: float,
     proximal: float,
@@ -205,19 +231,19 @@ def solve_step(
     found = minimizer(program)
     if found is None:
         return _solve_slowly(program, around)
-    pool.latest = _ActiveRows(nlp.inner_bounds, around.rows, found.active)
+    pool.latest = _ActiveRows(nlp.inner_bounds, around, found.active)
     return _step_of(found.solution, around)
 
 
-def _solve_slowly(program: QuadraticProgram, around: Subproblem) -> QpStep | None:
+def _solve_slowly(program: QuadraticProgram, around: Linearization) -> QpStep | None:
     dense = program.dense()
     dense.fill(program)
     solution = dense.solve_slowly()
     return None if solution is None else _step_of(solution, around)
 
 
-def _step_of(solution: FloatArray, around: Subproblem) -> QpStep:
-    model = around.quadratic
+def _step_of(solution: FloatArray, around: Linearization) -> QpStep:
+    model = around.parts.quadratic
     change = solution[: model.gradient.size]
     bent = in_order(change * in_order(model.hessian * change, 1))
     return QpStep(change, -float(in_order(model.gradient * change) + 0.5 * bent))
@@ -225,15 +251,15 @@ def _step_of(solution: FloatArray, around: Subproblem) -> QpStep:
 
 def step_program(
     nlp: NonlinearProgram,
-    around: Subproblem,
+    around: Linearization,
     pool: ProgramPool,
     trust_region: float,
     proximal: float,
     penalties: Penalties,
 ) -> QuadraticProgram:
     """Return the program of `solve_step`, whose arguments are the same."""
-    basis, settings, spans = nlp.basis, nlp.settings.step, nlp.basis.span_gear.size
-    is_limited, count = bool(np.isfinite(nlp.inner_bounds.rate)), around.rows.gap.size
+    basis, settings, spans, parts = nlp.basis, nlp.settings.step, nlp.basis.span_gear.size, around.parts
+    is_limited, count = bool(np.isfinite(nlp.inner_bounds.rate)), around.node.size
     blocks = blocks_for(basis, spans if is_limited else 0, count, settings)
 
     def dense() -> DenseProgram:
@@ -246,13 +272,13 @@ def step_program(
     guess = guess[np.abs(guess) <= last]
     program = QuadraticProgram(h.copy(), np.empty(n), np.empty((m, n)), bounds, basis.num_knots, guess, dense)
     program.a[: len(a)] = a
-    _fill_cost(program, blocks, around, proximal, penalties, settings.ridge)
-    _fill_box(program, blocks, nlp, around.variables, trust_region * nlp.radius)
+    _fill_cost(program, blocks, parts, proximal, penalties, settings.ridge)
+    _fill_box(program, blocks, nlp, parts.variables, trust_region * nlp.radius)
     rows = _Rows(program.a, *bounds[:, n:])
-    _fill_goal_and_trust_region(rows, blocks, around, trust_region)
+    _fill_goal_and_trust_region(rows, blocks, parts, trust_region)
     if is_limited:
-        _fill_rate(rows, blocks, nlp, around.variables)
-    _fill_clearance(rows, blocks, around.rows, zone_of(basis, around.rows.node, settings.zones))
+        _fill_rate(rows, blocks, nlp, parts.variables)
+    _fill_clearance(rows, blocks, parts.rows, zone_of(basis, parts.rows.node, settings.zones))
     return program
 
 
@@ -333,12 +359,12 @@ class _ActiveRows(NamedTuple):
     """The constraints that are active in a step, and the programs in which they have the same numbers."""
 
     bounds: VariableBounds  # of all steps of a search
-    rows: ClearanceRows  # of one linearization
+    around: Linearization
     active: IntArray
 
 
 def _guess(
-    latest: _ActiveRows | None, nlp: NonlinearProgram, around: Subproblem, variables: int, fixed: int
+    latest: _ActiveRows | None, nlp: NonlinearProgram, around: Linearization, variables: int, fixed: int
 ) -> tuple[IntArray, int]:
     """Return the constraints that are probably active, and the last one of them that is in this program.
 
@@ -346,8 +372,8 @@ def _guess(
     """
     if latest is None or latest.bounds is not nlp.inner_bounds:
         return np.arange(nlp.basis.size + 1, variables + 1), variables
-    everything = variables + fixed + around.rows.gap.size
-    return latest.active, everything if latest.rows is around.rows else variables + fixed
+    everything = variables + fixed + around.node.size
+    return latest.active, everything if latest.around is around else variables + fixed
 
 
 class ProgramPool:

@@ -199,7 +199,7 @@ def refuse_search(
     is_clear = closest.clearance.margin.size == 0
     if not closest.on_goal or (is_clear and nlp.view is None and nlp.terms is None):
         return _unreachable(nlp, closest, problem)
-    path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
+    path = exact_path(nlp, closest.variables, problem.dock.final_straight, problem.frame)
     judged = problem if whole is None else whole
     unseen = _lost_view(path, judged) if problem.goal == judged.goal else None
     other = unseen or _broken_term(nlp, path, problem.dock.final_straight)

@@ -36,6 +36,21 @@ static double dot(const double *a, const double *b, int64_t count)
     return sum;
 }
 
+/* A sum of products of a row of heading integrals in the order of the index. The integrals of hats before the knot
+ * `count` have their last values, so the part of the sum up to there is the same for all later rows. */
+typedef struct {
+    int64_t count;
+    double sum;
+} Passed;
+
+/* Sum of products of a row up to the hats of the span that begins at `knot`; the integrals of later hats are 0. */
+static double row_sum(Passed *passed, const double *row, const double *factors, int64_t knot)
+{
+    for (; passed->count < knot; passed->count++)
+        passed->sum += row[passed->count] * factors[passed->count];
+    return passed->sum + row[knot] * factors[knot] + row[knot + 1] * factors[knot + 1];
+}
+
 /* ---- Roll-out ---- */
 
 /* Curvatures of the variables z times the lengths of their gears. */
@@ -46,16 +61,17 @@ static void turn(const Basis *b, const double *z, double *turned)
             turned[j] = z[b->knots + m] * z[j];
 }
 
-/* Displacements (S4) by the Gauss points, with the headings (S3). The integrals of hats that begin later are 0. */
+/* Displacements (S4) by the Gauss points, with the headings (S3). */
 static void displace(const Basis *b, const double *z, const double *turned, const double *start, const double *signs,
                      Vector *moves)
 {
+    Passed passed = {0, 0.0};
     for (int64_t m = 0, i = 0, knot = 0; m < b->gears; m++) {
         int64_t spans = b->divisions[2 * m], cells = b->divisions[2 * m + 1];
         double weight = 0.5 / (double)cells * (z[b->knots + m] * signs[m]);
         for (int64_t cell = 0; cell < cells; cell++) {
             for (int64_t end = i + 2; i < end; i++) {
-                double yaw = start[2] + dot(b->gauss + i * b->knots, turned, knot + cell * spans / cells + 2);
+                double yaw = start[2] + row_sum(&passed, b->gauss + i * b->knots, turned, knot + cell * spans / cells);
                 moves[i] = (Vector){weight * cos(yaw), weight * sin(yaw)};
             }
         }
@@ -85,6 +101,7 @@ static void roll_out(const Basis *b, const double *z, const double *start, const
 {
     double *poses = packed, *kappa = poses + 3 * b->nodes, *rate = kappa + b->nodes, *steps = rate + b->intervals;
     Vector *moves = (Vector *)(steps + b->intervals), place = {start[0], start[1]};
+    Passed passed = {0, 0.0};
     if (!is_displaced) {
         turn(b, z, turned);
         displace(b, z, turned, start, signs, moves);
@@ -96,7 +113,7 @@ static void roll_out(const Basis *b, const double *z, const double *start, const
             int64_t knot = first + (i < cells ? i * spans / cells : spans - 1);
             poses[3 * node] = place.x;
             poses[3 * node + 1] = place.y;
-            poses[3 * node + 2] = start[2] + dot(b->headings + node * b->knots, turned, knot + 2);
+            poses[3 * node + 2] = start[2] + row_sum(&passed, b->headings + node * b->knots, turned, knot);
             kappa[node] = dot(b->hats + node * b->knots + knot, z + knot, 2) + 0.0; /* no negative zeros */
             if (i == cells)
                 continue;
@@ -126,15 +143,27 @@ int64_t optdock_roll_out(int64_t gears, int64_t knots, int64_t nodes, int64_t in
 
 /* ---- Sensitivity ---- */
 
-/* Derivatives of a heading with respect to the variables, from the heading's row of integrals. (size,) */
-static void heading_derivatives(const Basis *b, const double *z, const double *row, double *out)
+/* Derivatives of a heading on the span of gear m that begins at `knot`, from its row of integrals; those by later knots
+ * and gears, which are 0, are not written. (size,) */
+static void heading_derivatives(const Basis *b, const double *z, const double *row, int64_t m, int64_t knot, double *out)
 {
-    for (int64_t m = 0, first = 0; m < b->gears; m++) {
-        int64_t count = b->divisions[2 * m] + 1;
-        for (int64_t j = first; j < first + count; j++)
-            out[j] = row[j] * z[b->knots + m];
-        out[b->knots + m] = dot(row + first, z + first, count);
-        first += count;
+    for (int64_t gear = 0, first = 0; gear <= m; gear++) {
+        int64_t next = first + b->divisions[2 * gear] + 1, end = gear < m ? next : knot + 2;
+        for (int64_t j = first; j < end; j++)
+            out[j] = row[j] * z[b->knots + gear];
+        out[b->knots + gear] = dot(row + first, z + first, end - first);
+        first = next;
+    }
+}
+
+/* Add the displacements a and c, turned by the derivatives of their headings, and `stretched`, to those of the position;
+ * columns begin to end - 1. */
+static void add_turns(int64_t begin, int64_t end, const double *first, const double *second, Vector a, Vector c,
+                      Vector stretched, double *by_x, double *by_y)
+{
+    for (int64_t j = begin; j < end; j++) {
+        by_x[j] += -a.y * first[j] + -c.y * second[j] + stretched.x;
+        by_y[j] += a.x * first[j] + c.x * second[j] + stretched.y;
     }
 }
 
@@ -153,27 +182,30 @@ int64_t optdock_sensitivity(int64_t gears, int64_t knots, int64_t nodes, int64_t
     double *by_x = work, *by_y = by_x + b.size, *first = by_y + b.size, *second = first + b.size;
     double *out_x = out, *out_y = out + nodes * b.size, *out_yaw = out + 2 * nodes * b.size;
     for (int64_t j = 0; j < b.size; j++)
-        by_x[j] = by_y[j] = 0.0;
-    for (int64_t m = 0, node = 0, interval = 0; m < gears; m++, node++) {
-        double inverse = 1.0 / z[knots + m];
-        for (int64_t end = node + divisions[2 * m + 1];; node++, interval++) {
+        by_x[j] = by_y[j] = first[j] = second[j] = 0.0;
+    for (int64_t i = 0; i < nodes * b.size; i++)
+        out_yaw[i] = 0.0;
+    for (int64_t m = 0, node = 0, interval = 0, begin = 0; m < gears; m++, node++) {
+        int64_t spans = divisions[2 * m], cells = divisions[2 * m + 1], own = knots + m;
+        double inverse = 1.0 / z[own];
+        for (int64_t cell = 0;; cell++, node++, interval++) {
+            int64_t knot = begin + (cell < cells ? cell * spans / cells : spans - 1);
             for (int64_t j = 0; j < b.size; j++) {
                 out_x[node * b.size + j] = by_x[j];
                 out_y[node * b.size + j] = by_y[j];
             }
-            heading_derivatives(&b, z, b.headings + node * knots, out_yaw + node * b.size);
-            if (node == end)
+            heading_derivatives(&b, z, b.headings + node * knots, m, knot, out_yaw + node * b.size);
+            if (cell == cells)
                 break;
             Vector a = moves[2 * interval], c = moves[2 * interval + 1];
-            heading_derivatives(&b, z, b.gauss + 2 * interval * knots, first);
-            heading_derivatives(&b, z, b.gauss + (2 * interval + 1) * knots, second);
-            for (int64_t j = 0; j < b.size; j++) {
-                int own = j == knots + m;
-                double x = -a.y * first[j] + -c.y * second[j], y = a.x * first[j] + c.x * second[j];
-                by_x[j] += own ? x + (a.x + c.x) * inverse : x;
-                by_y[j] += own ? y + (a.y + c.y) * inverse : y;
-            }
+            heading_derivatives(&b, z, b.gauss + 2 * interval * knots, m, knot, first);
+            heading_derivatives(&b, z, b.gauss + (2 * interval + 1) * knots, m, knot, second);
+            Vector still = {0.0, 0.0}, stretched = {(a.x + c.x) * inverse, (a.y + c.y) * inverse};
+            add_turns(0, knot + 2, first, second, a, c, still, by_x, by_y);
+            add_turns(knots, own, first, second, a, c, still, by_x, by_y);
+            add_turns(own, own + 1, first, second, a, c, stretched, by_x, by_y);
         }
+        begin += spans + 1;
     }
     return 0;
 }
@@ -215,12 +247,18 @@ static void end_sensitivity(const Basis *b, const double *z, const Vector *moves
 {
     double *x = jacobian, *y = x + b->size, *yaw = y + b->size;
     const double *last = b->headings + (b->nodes - 1) * b->knots;
-    for (int64_t i = 0; i < 2 * b->intervals; i++) {
-        const double *row = b->gauss + i * b->knots;
-        for (int64_t j = 0; j < b->knots; j++) {
-            x[j] = i == 0 ? moves[i].y * row[j] : x[j] + moves[i].y * row[j];
-            y[j] = i == 0 ? moves[i].x * row[j] : y[j] + moves[i].x * row[j];
+    for (int64_t j = 0; j < b->knots; j++)
+        x[j] = y[j] = 0.0;
+    for (int64_t m = 0, i = 0, begin = 0; m < b->gears; m++) {
+        int64_t spans = b->divisions[2 * m], cells = b->divisions[2 * m + 1];
+        for (int64_t end = i + 2 * cells, at = 0; i < end; i++, at++) {
+            const double *row = b->gauss + i * b->knots;
+            for (int64_t j = 0; j < begin + at / 2 * spans / cells + 2; j++) {
+                x[j] += moves[i].y * row[j];
+                y[j] += moves[i].x * row[j];
+            }
         }
+        begin += spans + 1;
     }
     for (int64_t m = 0, first = 0, i = 0; m < b->gears; m++) {
         int64_t count = b->divisions[2 * m] + 1, end = i + 2 * b->divisions[2 * m + 1], own = b->knots + m;

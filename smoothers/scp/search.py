@@ -153,8 +153,6 @@ class Search(NamedTuple):
 
 def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSettings) -> bool:
     """Whether `path` is a clothoid path between the ends of the problem and within its curvature limits."""
-    if max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) > settings.same_pose:
-        return False
     limits = problem.robot.limits
     for segment in path.segments:
         if not isinstance(segment, ClothoidSegment):
@@ -163,7 +161,7 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
         rate = np.abs(np.diff(curvature) / np.diff(knots)).max()
         if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
             return False
-    return True
+    return max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) <= settings.same_pose
 
 
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
@@ -250,6 +248,8 @@ class IterationTimes:
         self.iteration = self.certificate = 0.0
         self._certificate_was_measured = False
         self.pace = math.inf
+        share, most = settings.margin
+        self._margin = min(share * deadline.seconds, most)
 
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
         """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
@@ -282,12 +282,9 @@ class IterationTimes:
         """Whether the remaining time is too short for an iteration."""
         return not self.deadline.fits(self.iteration)
 
-    def reserve(self, *, has_candidate: bool) -> float:
-        """Return the time [s] reserved for the certificate of the candidate, with a margin for later stages."""
-        if not has_candidate:
-            return 0.0
-        share, most = self._settings.margin
-        return self._settings.certificate_reserve * self.certificate + min(share * self.deadline.seconds, most)
+    def reserve(self) -> float:
+        """Return the time [s] reserved for the certificate of a candidate, with a margin for later stages."""
+        return self._settings.certificate_reserve * self.certificate + self._margin
 
     def is_late(self) -> bool:
         """Whether a running certificate must be abandoned because it is too late."""
@@ -510,30 +507,28 @@ class Solver:
                 return
             before = self.deadline.elapsed
 
-    def _must_settle(self) -> bool:
-        """Whether the current step must be abandoned because of the time for a certificate."""
-        return not self.deadline.fits(self._reserve)
+    def _must_settle(self, seconds: float = 0.0) -> bool:
+        """Whether no time is left for this work [s] besides that for the certificate of a candidate, if it is due.
 
-    @property
-    def _reserve(self) -> float:
-        """Time [s] for the certificate of the candidate, or of an iterate that is better than the incumbent."""
-        is_certificate_due = self._candidate is not None or self.outcome.incumbent is not None
-        return self.times.reserve(has_candidate=is_certificate_due)
+        With an incumbent, a certificate is due for a path that is better.
+        """
+        if self._candidate is not None or self.outcome.incumbent is not None:
+            seconds += self.times.reserve()
+        return not self.deadline.fits(seconds)
 
     def _consider(self, iterate: Iterate) -> None:
-        best = self._candidate.cost if self._candidate is not None else math.inf
-        held = self.outcome.incumbent.cost if self.outcome.incumbent is not None else math.inf
-        if iterate.feasible and iterate.cost < min(best, held):
+        rival = self._candidate or self.outcome.incumbent
+        if iterate.feasible and (rival is None or iterate.cost < rival.cost):
             self._candidate = iterate
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
         """Certify the candidate when little time remains, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
-        short = not self.deadline.fits(step + self._reserve)
+        short = self._must_settle(step)
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
-            short = not self.deadline.fits(step + self._reserve)
+            short = self._must_settle(step)
         found = first_only and self.outcome.incumbent is not None
         self.outcome.converged = self.outcome.converged or found
         return short or found
@@ -551,7 +546,7 @@ class Solver:
             self.outcome.converged = False
             return None
         began, problem = self.deadline.elapsed, self.call.problem
-        path = exact_path(nlp, candidate.variables, problem.dock.final_straight).with_frame(problem.frame)
+        path = exact_path(nlp, candidate.variables, problem.dock.final_straight, problem.frame)
         verdict = self._judged(path, began)
         if not verdict.accepted and self.times.is_late():
             self.outcome.converged = False

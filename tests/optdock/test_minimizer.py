@@ -39,6 +39,18 @@ def random_program(seed):
     return program_of(h, 5.0 * rng.normal(size=n), a, values - room[0], values + room[1], leading=n // 2)
 
 
+def degenerate_program(seed):
+    """A program with a point at which all constraints are active, which depend on each other except for rounding."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 16))
+    k, m = int(rng.integers(1, n + 1)), int(rng.integers(n, 40))
+    a, corner = rng.integers(-2, 3, size=(m, k)) @ rng.normal(size=(k, n)), rng.normal(size=n)
+    values, is_lower = np.concatenate((corner, a @ corner)), rng.uniform(size=n + m) < 0.5
+    lower, upper = np.where(is_lower, values, -np.inf), np.where(is_lower, np.inf, values)
+    root = rng.normal(size=(n, n))
+    return program_of(root @ root.T + 1e-3 * np.eye(n), 5.0 * rng.normal(size=n), a, lower, upper, leading=n // 2)
+
+
 def solution_of(program, lane):
     with using_kernels(lane):
         return minimizer(program)
@@ -98,6 +110,24 @@ def test_the_guess_does_not_change_the_solution(seed):
     beyond = np.array([0, total + 1, -total - 1, 10 * total])
     for guess in (right, right[::2].copy(), beyond, wrong, wrong[: total // 2], np.concatenate((right, -right))):
         assert found(program._replace(guess=guess)).solution == pytest.approx(first, rel=1e-8, abs=1e-8)
+
+
+@in_both_lanes
+def test_programs_of_dependent_constraints_are_solved(lane):
+    found = [(program, solution_of(program, lane)) for program in map(degenerate_program, range(60))]
+    solved = [(program, minimum) for program, minimum in found if minimum is not None]
+    assert len(solved) >= {"twin": 60, "native": 55}[lane]
+    for program, minimum in solved:
+        assert_optimal(program, *minimum)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("seed", [20, 99, 169, 398, 509])
+def test_constraints_that_rounding_leaves_violated_in_turn_end_the_search(seed, monkeypatch):
+    """Without the end of a stalled search, these programs have no solution after 1000 rounds."""
+    monkeypatch.setattr(quadratic_program, "MOST_ROUNDS", 150)
+    program = degenerate_program(seed)
+    assert_optimal(program, *solution_of(program, "native"))
 
 
 @in_both_lanes

@@ -17,8 +17,8 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision.broad_phase import broad_phase
-from smoothers.scp.collision.collision_scene import body_at_nodes, scene_around
-from smoothers.scp.collision.linearization import covering_disc_rows, covering_discs, separating_plane_rows
+from smoothers.scp.collision.collision_scene import body_at_nodes, covering_discs, scene_around
+from smoothers.scp.collision.linearization import covering_disc_rows, separating_plane_rows
 from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.rollout import Sensitivity, Variables, roll_out, sensitivity
 from smoothers.scp.settings import DEFAULT_SETTINGS

@@ -10,9 +10,9 @@ from experiments.fuzz.kinds.kernels import BENT, drawn_program, replaced
 from optdock.kernels import using_kernels
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, InputNodes, Weights
-from smoothers.scp.initial_guess import LeastSquares, pure_pursuit
+from smoothers.scp.initial_guess import LeastSquares, linearized_tracking, pure_pursuit, tracked_path
 from smoothers.scp.nlp import Ends, VariableBounds
-from smoothers.scp.rollout import Variables, roll_out
+from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -70,9 +70,9 @@ def test_both_lanes_have_the_same_least_squares_to_the_last_bit(degenerate):
         (least, variables), found = drawn_least_squares(seed, degenerate), []
         for lane in ("twin", "native"):
             with using_kernels(lane):
-                current = least.at(variables)
-                around = least.linearized(current)
-            found.append((current.merit, *around.quadratic))
+                current = tracked_path(least, np.concatenate(variables))
+                around = linearized_tracking(least, current)
+            found.append((current.merit, around.values))
         assert not replaced()
         assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*found, strict=True)), seed
 
@@ -83,12 +83,11 @@ def test_the_model_of_tracking_has_the_derivatives_of_its_merit():
     knots, step = nlp.basis.num_knots, 1e-6
 
     def squares(change):
-        moved = Variables(at[:knots] + change[:knots], variables.lengths)
-        path = least.at(moved)
+        path = tracked_path(least, np.concatenate((at[:knots] + change[:knots], variables.lengths)))
         missed = float(np.abs(nlp.ends.error(path.rollout)).sum())
         return path.merit - nlp.settings.tracking.goal_weight * missed
 
-    gradient = least.linearized(least.at(variables)).quadratic.gradient
+    gradient = linearized_tracking(least, tracked_path(least, at)).parts.quadratic.gradient
     for j in range(knots):
         change = step * (np.arange(at.size) == j)
         slope = (squares(change) - squares(-change)) / (2.0 * step)

@@ -10,13 +10,14 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.clearance_rule import ClearanceRule
+from smoothers.scp.basis import Basis
 from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.collision.linearization import active_pairs
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import driven_path
 from smoothers.scp.loop import evaluated, linearized
-from smoothers.scp.nlp import Formulation, formulate
-from smoothers.scp.qp_step import Penalties, ProgramPool, solve_natively, solve_step
+from smoothers.scp.nlp import Formulation, NonlinearProgram, formulate
+from smoothers.scp.qp_step import Linearization, Penalties, ProgramPool, solve_natively, solve_step
 from smoothers.scp.rollout import Variables
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
@@ -57,10 +58,12 @@ def sketch(basis, variables, start, signs):
 
 
 def bits(found):
-    """Memory of all arrays of a result, without signs of zeros."""
+    """Memory of all arrays and numbers of a result, without signs of zeros."""
     if isinstance(found, tuple):
         return b"".join(bits(one) for one in found)
-    return b"" if found is None else (np.asarray(found, dtype=np.float64) + 0.0).tobytes()
+    if found is None or isinstance(found, NonlinearProgram | Basis):
+        return b""
+    return (np.asarray(found, dtype=np.float64) + 0.0).tobytes()
 
 
 def in_both_lanes(function, *arguments):
@@ -78,18 +81,18 @@ def in_both_lanes(function, *arguments):
 @pytest.mark.parametrize("seed", range(8))
 def test_evaluation_and_linearization_are_equal_in_both_lanes(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
-    start, moved = in_both_lanes(evaluated, nlp, variables)
-    assert moved == 0.0
+    start = in_both_lanes(evaluated, nlp, np.concatenate(variables))
+    assert start.moved == 0.0
     in_both_lanes(linearized, nlp, start, 1e-3 * seed)
-    changed = Variables(start.variables.curvature + 0.05, 1.02 * start.variables.lengths)
-    assert in_both_lanes(evaluated, nlp, changed, start)[1] > 0.0
+    changed = np.concatenate((start.variables.curvature + 0.05, 1.02 * start.variables.lengths))
+    assert in_both_lanes(evaluated, nlp, changed, start).moved > 0.0
 
 
 @pytest.mark.parametrize("name", FOOTPRINTS)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
-    around = linearized(nlp, evaluated(nlp, variables)[0], 1e-3)
+    around = linearized(nlp, evaluated(nlp, np.concatenate(variables)), 1e-3)
     pools, penalties = (ProgramPool(), ProgramPool()), Penalties(300.0 * 1.6**seed, 1000.0 * 1.6**seed)
     for trust_region, proximal in ((0.2, 1.0), (0.05, 3.0)):  # the second one begins with the active rows of the first
         steps = []
@@ -106,7 +109,7 @@ def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_the_guess_does_not_change_a_step(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
-    around = linearized(nlp, evaluated(nlp, variables)[0], 1e-3)
+    around = linearized(nlp, evaluated(nlp, np.concatenate(variables)), 1e-3)
     pool, step = ProgramPool(), (0.2, 1.0, Penalties(300.0, 1000.0))
     first = solve_natively(nlp, around, pool, *step)
     again = solve_natively(nlp, around, pool, *step)
@@ -121,28 +124,29 @@ def test_the_selection_of_rows_is_equal_in_both_lanes(cases, name):
         rows = (12, 24, 36, 48) if seed % 2 else (12, 24, 36, 48, 300)
         step = dataclasses.replace(nlp.settings.step, clearance_rows=rows)
         nlp = dataclasses.replace(nlp, settings=dataclasses.replace(nlp.settings, step=step))
-        start, _ = in_both_lanes(evaluated, nlp, variables)
+        start = in_both_lanes(evaluated, nlp, np.concatenate(variables))
         around, found = in_both_lanes(linearized, nlp, start, 1e-3), start.clearance
         active = active_pairs(nlp.scene, found, nlp.basis.num_intervals, rows[-1] // 3)
         deep += active.penetrating.size > 0
         thinned += active.separated.size + active.penetrating.size < found.margin.size
-        cut += around.rows.gap.size == rows[-1]
+        cut += around.node.size == rows[-1]
     assert min(deep, thinned, cut) >= 3
 
 
 def test_without_obstacles_there_are_no_rows(cases):
     nlp, variables = drawn(cases, 3, "box", count=0)
-    start, _ = in_both_lanes(evaluated, nlp, variables)
+    start = in_both_lanes(evaluated, nlp, np.concatenate(variables))
     around = in_both_lanes(linearized, nlp, start, 1e-3)
     assert start.shortfall == 0.0
-    assert around.rows.gradient.shape == (0, nlp.basis.size)
+    assert around.parts.rows.gradient.shape == (0, nlp.basis.size)
 
 
 def test_a_program_that_no_library_solves_has_no_step(cases):
     nlp, variables = drawn(cases, 3, "box")
-    start, _ = evaluated(nlp, variables)
+    start = evaluated(nlp, np.concatenate(variables))
     around = linearized(nlp, start, 1e-3)
-    around = around._replace(goal=(around.goal[0], np.full(3, np.nan)))
+    parts = around.parts
+    around = Linearization.of(nlp.basis, parts._replace(goal=(parts.goal[0], np.full(3, np.nan))))
     for lane in ("twin", "native"):
         with using_kernels(lane):
             assert solve_step(nlp, around, ProgramPool(), 0.2, 1.0, Penalties(300.0, 1000.0)) is None

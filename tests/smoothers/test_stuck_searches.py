@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.families import instance
+from optdock.deadline import ENDLESS
 from optdock.plugins.interfaces import PluginContext
 from optdock.verification import Violation, certify_path
 from smoothers.casadi_smoother import CasadiSmoother
@@ -83,5 +84,5 @@ def test_candidate_is_repaired_unless_a_pose_is_too_close(kind, amount, shortfal
     certificate = certify_path(case.witness, case.problem)
     broken = Violation(kind, "", s=1.0, amount=amount, where={})
     verdict = PathVerdict(dataclasses.replace(certificate, violations=(broken,)))
-    solver = Solver(None, None, None, DEFAULT_SETTINGS, SearchOutcome(refused=(case.witness, verdict)))
+    solver = Solver(None, ENDLESS, None, DEFAULT_SETTINGS, SearchOutcome(refused=(case.witness, verdict)))
     assert solver._comes_too_close(SimpleNamespace(shortfall=shortfall)) is is_at_a_pose

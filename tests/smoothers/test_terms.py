@@ -27,7 +27,15 @@ from smoothers import CasadiSmoother, HardTerm, SoftTerm
 from smoothers.scp import term_rows
 from smoothers.scp.goal_projection import end_sensitivity
 from smoothers.scp.loop import judged
-from smoothers.scp.qp_step import Penalties, ProgramPool, Subproblem, blocks_for, step_program, trusted_nodes
+from smoothers.scp.qp_step import (
+    Linearization,
+    Penalties,
+    ProgramPool,
+    Subproblem,
+    blocks_for,
+    step_program,
+    trusted_nodes,
+)
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 from smoothers.scp.search import Solver
 from smoothers.scp.term_functions import term_set
@@ -154,7 +162,7 @@ def rate_rows_of_the_step(nlp, around):
     basis = nlp.basis
     program = step_program(nlp, around, ProgramPool(), 0.5, 1.0, Penalties(300.0, 3000.0))
     assert minimizer(program) is not None
-    blocks = blocks_for(basis, basis.span_gear.size, around.rows.gap.size, nlp.settings.step)
+    blocks = blocks_for(basis, basis.span_gear.size, around.node.size, nlp.settings.step)
     up, down, upper = blocks.rate_up, blocks.rate_down, program.bounds[1, len(program.g) :]
     rows = np.concatenate((program.a[up, blocks.path], program.a[down, blocks.path]))
     return rows, np.concatenate((upper[up], upper[down]))
@@ -184,7 +192,8 @@ def test_the_whole_program_is_the_symbolic_one(cases, which, monkeypatch):
         assert rows.gap == pytest.approx(hard.ravel()[kept], abs=1e-9)
         assert rows.gradient == pytest.approx(by_terms[kept], abs=1e-9)
         headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
-        around = Subproblem(variables, quadratic, np.eye(basis.size), goal, headings, rows.lowest(400))
+        parts = Subproblem(variables, quadratic, np.eye(basis.size), goal, headings, rows.lowest(400))
+        around = Linearization.of(basis, parts)
         made, limits = rate_rows_of_the_step(nlp, around)
         assert made == pytest.approx(by_rate, abs=1e-9)
         assert -limits == pytest.approx(rate.ravel(), abs=1e-9)

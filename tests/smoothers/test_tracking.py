@@ -98,7 +98,7 @@ def test_it_stops_at_once_when_it_is_late():
 def test_the_tracked_guess_is_first_where_the_others_collide():
     poses = driven_word(WORDS[1])
     free = InitialGuesses(program_of(poses))
-    begun = evaluated(free.nlp, free.first.variables)[0].rollout.poses
+    begun = evaluated(free.nlp, np.concatenate(free.first.variables)).rollout.poses
     assert free.first.variables is free.pursued
     # Boxes where corners of the drive pass and the input does not.
     corners = transform_points(begun[::2], CAR.footprint.vertices).reshape(-1, 2)

@@ -92,11 +92,12 @@ def _in_body_frame(
     middle, half = swept_boxes(scene, basis, rollout, body)
     node = basis.left[row % basis.num_intervals]
     c, s = body.cosine[node], body.sine[node]
-    dx = scene.box_middle.x[0, obstacle] - rollout.poses[node, 0]
-    dy = scene.box_middle.y[0, obstacle] - rollout.poses[node, 1]
+    middle_of, half_of = scene.boxes
+    dx = middle_of.x[0, obstacle] - rollout.poses[node, 0]
+    dy = middle_of.y[0, obstacle] - rollout.poses[node, 1]
     along = np.abs(c * dx + s * dy - middle.x[row]) - half.x[row]
     across = np.abs(c * dy - s * dx - middle.y[row]) - half.y[row]
-    wide, high = scene.box_half.x[0, obstacle], scene.box_half.y[0, obstacle]
+    wide, high = half_of.x[0, obstacle], half_of.y[0, obstacle]
     c, s = np.abs(c), np.abs(s)  # the extent of a box along a direction (c, s) is |c| x + |s| y
     return _box_separation(along - (c * wide + s * high), across - (s * wide + c * high))
 

@@ -81,12 +81,13 @@ class Room(NamedTuple):
         work = 2 * parts * nodes * (v + 2) + 8 * rows + room + 8 * v + 2 * nodes
         return cls(size, nodes, 2 * v, most, 6 * v + 2 * k + 4, work, 4 * room + rows)
 
-    def clearance(self, pairs: IntArray, out: FloatArray, p: int) -> Clearance:
-        """Return the result of the kernel, `p` pairs."""
+    def clearance(self, pairs: IntArray, out: FloatArray) -> Clearance:
+        """Return the result of the kernel, as views of its arrays, which end with the last pair."""
         n = self.nodes
+        p = (pairs.size - n) // 3
         required = Requirement(out[:n], out[n : 3 * n].reshape(n, 2), pairs[:n], out[3 * n : 4 * n])
-        table = out[4 * n : 4 * n + self.width * p].reshape(self.width, p)
-        return Clearance(Pairs(*pairs[n : n + 3 * p].reshape(3, p)), table[-1], required, table, self.corners)
+        table = out[4 * n :].reshape(self.width, p)
+        return Clearance(Pairs(*pairs[n:].reshape(3, p)), table[-1], required, table, self.corners)
 
 
 def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
@@ -107,7 +108,7 @@ def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, 
     selection = (settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices)
     close = scene.rule.required + settings.surely_kept
     p = _KERNEL((*counts, *selection), (scene.body.radius, reach, close, settings.lowest_slope), arrays)
-    return room.clearance(pairs, out, p)
+    return room.clearance(pairs[: nodes + 3 * p], out[: 4 * nodes + room.width * p])
 
 
 _along = twin_of(_by_kernel)(_by_numpy)

@@ -289,7 +289,7 @@ static double support(const Pair *pair, Vector axis, Vector *corner)
     *corner = pair->outline[0];
     for (int64_t i = 1; i < pair->k; i++) {
         double height = dot(axis, pair->outline[i]);
-        if (height > high || (height != height && high == high)) {
+        if (!(height <= high) && high == high) { /* the first NaN, as in NumPy */
             high = height;
             *corner = pair->outline[i];
         }
@@ -327,12 +327,13 @@ static Vector unit(Vector v, Vector fallback)
 /* The first pair of a hull vertex and a corner with the smallest distance. */
 static void closest(const Pair *pair, int64_t *vertex, int64_t *corner)
 {
-    double nearest = 0.0;
+    double nearest = INFINITY;
+    *vertex = *corner = 0;
     for (int64_t i = 0; i < pair->count; i++) {
         for (int64_t j = 0; j < pair->k; j++) {
             double dx = pair->hull[i].x - pair->outline[j].x, dy = pair->hull[i].y - pair->outline[j].y;
             double squared = dx * dx + dy * dy;
-            if (i + j == 0 || squared < nearest || (squared != squared && nearest == nearest)) {
+            if (!(squared >= nearest) && nearest == nearest) { /* the first NaN, as in NumPy */
                 nearest = squared;
                 *vertex = i;
                 *corner = j;
@@ -345,7 +346,7 @@ static void closest(const Pair *pair, int64_t *vertex, int64_t *corner)
  * the body, the direction between the closest vertices, and both normals of the chord of the closest vertex. */
 static Candidate best_candidate(const Pair *pair, const Vector *inward)
 {
-    int64_t vertex = 0, corner = 0, v = pair->count / 2;
+    int64_t vertex, corner, v = pair->count / 2;
     Candidate best = {{0.0, 0.0}, 0.0};
     for (int64_t i = 0; i < pair->k; i++)
         consider(pair, pair->edges[i], &best, i == 0);

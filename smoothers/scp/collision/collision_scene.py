@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,10 +28,12 @@ __all__ = [
     "UNDOCKING",
     "Body",
     "BodyAtNodes",
+    "Discs",
     "Points",
     "Requirement",
     "Scene",
     "body_at_nodes",
+    "covering_discs",
     "scene_around",
 ]
 
@@ -61,11 +64,18 @@ class Points(NamedTuple):
         return Points(self.x[row, columns][None], self.y[row, columns][None])
 
 
+class Discs(NamedTuple):
+    """Discs of equal radius: centres, Shape (d, 2) [m], and radius [m]."""
+
+    centres: FloatArray
+    radius: float
+
+
 class Body(NamedTuple):
     """Convex parts of the footprint, padded to equal vertex counts: vertices, normals (parts, v, 2), boxes (parts, 2).
 
     `reach`: distance of every vertex from the origin (parts, v). `radius`: the largest of these distances. `width`:
-    thickness [m].
+    thickness [m]. `discs`: see `covering_discs`, one element per part.
     """
 
     vertices: FloatArray
@@ -75,6 +85,7 @@ class Body(NamedTuple):
     reach: FloatArray
     radius: float
     width: float
+    discs: tuple[Discs, ...]
 
 
 # The part of the clearance rule that applies.
@@ -103,11 +114,6 @@ class Scene:
     start_clearance: float  # clearance of the start pose [m]
     settings: CollisionSettings = DEFAULT_SETTINGS.collision  # selection of pairs
     start_relief: float = 0.0  # length of the weaker rule near the start [m]
-    outline: Points = field(init=False, repr=False)  # obstacle vertices, one column per obstacle, Shape (k, m) [m]
-    edge_normals: Points = field(init=False, repr=False)  # their outward edge normals
-    # middle and half extent of their bounding boxes, Shape (1, m) [m]
-    box_middle: Points = field(init=False, repr=False)
-    box_half: Points = field(init=False, repr=False)
 
     @cached_property
     def packed(self) -> FloatArray:
@@ -125,13 +131,21 @@ class Scene:
         numbers = rule.required, rule.at_dock, rule.taper, rule.dock_run, at_start, least, relief, START_RELIEF_SLOPE
         return np.array([*self.goal, *self.start, *numbers])
 
-    def __post_init__(self) -> None:
-        for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):
-            x, y = (np.ascontiguousarray(values[..., i].T) for i in (0, 1))
-            object.__setattr__(self, name, Points(x, y))
+    @cached_property
+    def outline(self) -> Points:
+        """Obstacle vertices, one column per obstacle, Shape (k, m) [m]."""
+        return _in_columns(self.obstacles.vertices)
+
+    @cached_property
+    def edge_normals(self) -> Points:
+        """Outward normals of the obstacles' edges, Shape (k, m)."""
+        return _in_columns(self.obstacles.normals)
+
+    @cached_property
+    def boxes(self) -> tuple[Points, Points]:
+        """Middle and half extent of the bounding box of each obstacle, Shape (1, m) each [m]."""
         lower, upper = self.obstacles.lower.T[:, None], self.obstacles.upper.T[:, None]
-        object.__setattr__(self, "box_middle", Points(*(0.5 * (lower + upper))))
-        object.__setattr__(self, "box_half", Points(*(0.5 * (upper - lower))))
+        return Points(*(0.5 * (lower + upper))), Points(*(0.5 * (upper - lower)))
 
     def required(self, positions: FloatArray) -> Requirement:
         """Return the required clearance at robot positions, Shape (n, 2) [m]."""
@@ -158,16 +172,35 @@ class Scene:
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)
 
 
+def _in_columns(points: FloatArray) -> Points:
+    return Points(*(np.ascontiguousarray(points[..., i].T) for i in (0, 1)))
+
+
 @lru_cache(maxsize=16)
-def body_of(footprint: Footprint) -> Body:
-    """Return the padded parts of a footprint, computed once per footprint."""
+def body_of(footprint: Footprint, most_discs: int) -> Body:
+    """Return the padded parts of a footprint, computed once per footprint, with at most so many discs each."""
     width = max(len(part.vertices) for part in footprint.bodies)
     vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
     normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
     thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
     reach = np.hypot(vertices[..., 0], vertices[..., 1])
     lower, upper = vertices.min(axis=1), vertices.max(axis=1)
-    return frozen(Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness))
+    discs = tuple(frozen(covering_discs(part.vertices, most_discs)) for part in footprint.bodies)
+    return frozen(Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness, discs))
+
+
+def covering_discs(vertices: FloatArray, most: int) -> Discs:
+    """Return at most `most` discs along the box of `vertices`, Shape (v, 2) [m]."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    extent, middle = high - low, 0.5 * (low + high)
+    short, long = sorted(extent.tolist())
+    radius = 0.5 * short
+    half = 0.5 * long - radius
+    count = min(math.ceil(2.0 * half / max(radius, 1e-9)) + 1, most)
+    centres = np.empty((count, 2))
+    centres[:] = middle
+    centres[:, extent.argmax()] += np.linspace(-half, half, count)
+    return Discs(centres, radius)
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:
@@ -178,7 +211,7 @@ def scene_around(
     problem: DockingProblem, positions: FloatArray, start_clearance: float, settings: CollisionSettings
 ) -> Scene:
     """Return the scene within reach of a path through `positions`, Shape (n, 2) [m]."""
-    body = body_of(problem.robot.footprint)
+    body = body_of(problem.robot.footprint, settings.most_discs)
     reach = body.radius + problem.path_clearance.required + settings.crop
     near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
     start = np.array([problem.start.x, problem.start.y])

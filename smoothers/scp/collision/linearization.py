@@ -11,7 +11,6 @@ discs along the centre line are pushed to the same side. The signed distance of 
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -33,7 +32,6 @@ __all__ = [
     "ClearanceRows",
     "active_pairs",
     "covering_disc_rows",
-    "covering_discs",
     "linearized_clearance",
     "local_minima",
     "separating_plane_rows",
@@ -68,7 +66,8 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 def small_obstacles(scene: Scene) -> BoolArray:
     """Return a mask of the obstacles that are smaller than the body is wide. Shape (number of obstacles,)."""
-    small: BoolArray = 2.0 * np.maximum(scene.box_half.x[0], scene.box_half.y[0]) < scene.body.width
+    extent = scene.obstacles.upper - scene.obstacles.lower
+    small: BoolArray = np.maximum(extent[:, 0], extent[:, 1]) < scene.body.width
     return small
 
 
@@ -287,7 +286,7 @@ def covering_disc_rows(
 def _part_rows(
     scene: Scene, rollout: Rollout, basis: Basis, found: Clearance, chosen: IntArray, part: int
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    centres, radius = covering_discs(scene.body.vertices[part], scene.settings.most_discs)
+    centres, radius = scene.body.discs[part]
     left = basis.left[found.pairs.interval[chosen]]
     both = np.concatenate((left, left + 1))
     count = len(scene.obstacles)
@@ -302,20 +301,6 @@ def _part_rows(
     flat = np.repeat(node, order.shape[1])
     gap = distance[rows, order].ravel() - radius
     return flat, arm[rows, order].reshape(-1, 2), normal[rows, order].reshape(-1, 2), gap
-
-
-def covering_discs(vertices: FloatArray, most: int) -> tuple[FloatArray, float]:
-    """Return centres, Shape (d, 2), and radius [m] of at most `most` discs along the box of `vertices` (v, 2)."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    extent, middle = high - low, 0.5 * (low + high)
-    short, long = sorted(extent.tolist())
-    radius = 0.5 * short
-    half = 0.5 * long - radius
-    count = min(math.ceil(2.0 * half / max(radius, 1e-9)) + 1, most)
-    centres = np.empty((count, 2))
-    centres[:] = middle
-    centres[:, extent.argmax()] += np.linspace(-half, half, count)
-    return centres, radius
 
 
 def _signed_distance(points: FloatArray, outline: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:

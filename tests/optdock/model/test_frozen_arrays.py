@@ -316,7 +316,7 @@ SHARED = {
     "packed_footprint": lambda: packed_footprint(problem().robot.footprint),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
     "_region": lambda: drawn_plan._region(shut_in()),
-    "body_of": lambda: collision_scene.body_of(problem().robot.footprint),
+    "body_of": lambda: collision_scene.body_of(problem().robot.footprint, 32),
     "_read": built_in_map,
     "_placed_on": lambda: scene_files._placed_on(FilePath("hall.yaml"), built_in_map()).problem,
 }
