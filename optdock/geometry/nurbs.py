@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,15 @@ def shares(count: int) -> FloatArray:
     found *= 1.0 / count
     found[-1] = 1.0
     return found
+
+
+@functools.lru_cache(maxsize=16)
+def _clamped_knots(count: int, degree: int) -> FloatArray:
+    """Return the knots of a curve with `count` control points. Shape (count + degree + 1,)."""
+    knots = np.zeros(count + degree + 1)
+    knots[degree : count + 1] = shares(count - degree)
+    knots[count + 1 :] = 1.0
+    return readonly(knots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +69,7 @@ class Nurbs(FrozenArrays):
         degree, count = int(self.degree), len(points)
         if count <= degree:
             raise InvalidValue(f"nurbs.control_points: degree {degree} needs at least {degree + 1}, got {count}")
-        knots = np.zeros(count + degree + 1)
-        knots[degree : count + 1] = shares(count - degree)
-        knots[count + 1 :] = 1.0
-        vars(self).update(control_points=points, degree=degree, knots=readonly(knots))
+        vars(self).update(control_points=points, degree=degree, knots=_clamped_knots(count, degree))
 
     @property
     def speed_bound(self) -> float:
