@@ -284,7 +284,9 @@ class Stages:
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
         ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
-        ways_in = free_manoeuvres(found, start, staging.tree, self.space, effort, self._better_than)
+        ways_in = free_manoeuvres(
+            found, start, staging.tree, self.space, effort, self._better_than, per_change=_SLOW_STOP
+        )
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
