@@ -1,5 +1,5 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
- * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_free_lengths`, `are_free`,
+ * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_extensions`, `are_free`,
  * `first_free` and `may_be_free` of `arcs.py`.
  *
  * Tiles of the field are computed when a pose first needs them. The signed distance of convex polygons is the largest
@@ -289,6 +289,8 @@ static int is_clear(Space *space, Pose at, double required)
 static int is_free(Space *space, double x, double y, double yaw)
 {
     Pose at = {x, y, cos(yaw), sin(yaw)};
+    if (space->m == 0)
+        return 1;
     double required = required_at(space->rule, x, y);
     space->checked++;
     for (int level = 0; level < 2; level++) {
@@ -360,43 +362,72 @@ int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *
     return stopped(&space, i, progress);
 }
 
-/* Collision-free lengths of arcs, those from `done` on; see `_free_lengths` of `arcs.py`.
+/* Collision-free length of an arc up to the last of `count` steps, ascending; -1 if a tile has no values. `signed_bend`:
+ * sign of the length, and curvature [1/m]. */
+static double free_length(Space *space, const double *from, const double *signed_bend, int64_t count,
+                          const double *steps, int64_t bisections)
+{
+    double free = 0.0, blocked = 0.0, longest = steps[count - 1];
+    int found = 1;
+    set_box(space, from[0] - longest, from[1] - longest, from[0] + longest, from[1] + longest);
+    for (int64_t j = 0; j < count && found == 1; j++) {
+        found = is_free_after(space, from, signed_bend[0] * steps[j], signed_bend[1]);
+        if (found == 1)
+            free = steps[j];
+        else
+            blocked = steps[j];
+    }
+    for (int64_t j = 0; j < bisections && found == 0; j++) {
+        double middle = 0.5 * (free + blocked);
+        int at_middle = is_free_after(space, from, signed_bend[0] * middle, signed_bend[1]);
+        if (at_middle < 0)
+            found = -1;
+        else if (at_middle)
+            free = middle;
+        else
+            blocked = middle;
+    }
+    return found < 0 ? -1.0 : free;
+}
+
+/* Ends of free arcs from nodes of a tree, by all moves from each node; see `_extensions` of `arcs.py`.
  *
- *   n, count, bisections, most   numbers of arcs, of steps, of bisections, and of poses after which the call ends
- *   starts          (n, 3); signs, curvatures: (n,); steps: (count,), ascending lengths [m]
- *   lengths         out, (n,) [m] */
-int64_t optdock_free_lengths(int64_t n, int64_t count, int64_t bisections, int64_t most, const double *starts,
-                             const double *signs, const double *curvatures, const double *steps, double *lengths,
-                             SPACE_PARAMETERS)
+ *   n, moves        numbers of arcs, and of moves from each node
+ *   count, places, bisections, most  numbers of steps, of stations, of bisections, and of poses after which the call ends
+ *   least           [m], length beyond the last station from which the end of the free length is a station too
+ *   gear            1, or -1 if the tree is built backwards in time
+ *   speed, reverse_speed, reverse_price, stop  [m/s, m/s, s/m, s], prices of motion and of a change of gear
+ *   rows            (n / moves,), nodes in the tree, whose poses (nodes, 3), prices and signs (nodes,) are given
+ *   bends           (moves, 2), signs of the lengths and curvatures
+ *   steps, stations (count,), (places,), ascending lengths [m]
+ *   found           in and out, (1,), number of ends
+ *   arcs, ends      out, (n (places + 1),), (n (places + 1), 5): the arc, and pose, signed length and price of its end */
+int64_t optdock_extensions(int64_t n, int64_t moves, int64_t count, int64_t places, int64_t bisections, int64_t most,
+                           double least, double gear, double speed, double reverse_speed, double reverse_price,
+                           double stop, const int64_t *rows, const double *poses, const double *prices,
+                           const double *signs, const double *bends, const double *steps, const double *stations,
+                           int64_t *found, int64_t *arcs, double *ends, SPACE_PARAMETERS)
 {
     Space space = SPACE;
     int64_t i;
-    double longest = steps[count - 1];
     for (i = progress[0]; i < n && space.checked < most; i++) {
-        const double *from = starts + 3 * i;
-        double free = 0.0, blocked = 0.0;
-        int found = 1;
-        set_box(&space, from[0] - longest, from[1] - longest, from[0] + longest, from[1] + longest);
-        for (int64_t j = 0; j < count && found == 1; j++) {
-            found = is_free_after(&space, from, signs[i] * steps[j], curvatures[i]);
-            if (found == 1)
-                free = steps[j];
-            else
-                blocked = steps[j];
-        }
-        for (int64_t j = 0; j < bisections && found == 0; j++) {
-            double middle = 0.5 * (free + blocked);
-            int at_middle = is_free_after(&space, from, signs[i] * middle, curvatures[i]);
-            if (at_middle < 0)
-                found = -1;
-            else if (at_middle)
-                free = middle;
-            else
-                blocked = middle;
-        }
-        if (found < 0)
+        int64_t node = rows[i / moves];
+        const double *bend = bends + 2 * (i % moves);
+        double free = free_length(&space, poses + 3 * node, bend, count, steps, bisections), reached = 0.0;
+        if (free < 0.0)
             break;
-        lengths[i] = free;
+        for (int64_t k = 0; k <= places; k++) {
+            double length = k < places ? stations[k] : reached < free - least ? free : 0.0;
+            if (!(length > 0.0 && length <= free + 1e-12))
+                continue;
+            reached = length;
+            double driven = bend[0] * length, forward = gear * driven, *end = ends + 5 * found[0];
+            double time = forward > 0.0 ? forward / speed : -forward / reverse_speed;
+            advance(poses + 3 * node, driven, bend[1], end);
+            end[3] = driven;
+            end[4] = prices[node] + (time + reverse_price * larger(-forward, 0.0)) + stop * (signs[node] * bend[0] < 0.0);
+            arcs[found[0]++] = i;
+        }
     }
     return stopped(&space, i, progress);
 }
