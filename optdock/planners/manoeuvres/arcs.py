@@ -132,19 +132,26 @@ class ArcTree:
         gear: 1 or -1.
         robot: The robot.
         stop: Price of a change of gear [s].
+        nodes: Pose, price, sign, length and curvature of each node, Shape (n, 7), with the following columns.
         poses: Shape (n, 3).
         prices: Price of the path between the root and the node, Shape (n,) [s].
         signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
+        lengths, curvatures: Of the last arc, Shape (n,) [m, 1/m].
+        parents: Row of the node from which the last arc begins, -1 at the root. Shape (n,).
     """
 
     def __init__(self, root: FloatArray, robot: Robot, gear: int) -> None:
         self.gear, self.robot, self.stop = gear, robot, stopping_cost(robot.limits)
-        self.poses, self.prices, self.signs = root[None].copy(), np.zeros(1), np.zeros(1)
-        self.parents = np.full(1, -1)
-        self.lengths, self.curvatures = np.zeros(1), np.zeros(1)
+        nodes = np.zeros((1, 7))
+        nodes[0, :3] = root
+        self._set(np.full(1, -1), nodes)
+
+    def _set(self, parents: IntArray, nodes: FloatArray) -> None:
+        self.parents, self.nodes, self.poses = parents, nodes, nodes[:, :3]
+        self.prices, self.signs, self.lengths, self.curvatures = nodes[:, 3:].T
 
     def __len__(self) -> int:
-        return len(self.poses)
+        return self.parents.size
 
     def grow(
         self,
@@ -160,45 +167,27 @@ class ArcTree:
         `moves`: see `moves_of`. Nodes are added at `stations`, ascending lengths [m], and at the last free pose.
         `is_new` filters the poses found, in ascending order of price; None keeps all poses.
         """
-        arc, ends = _extensions(self, rows, moves, stations, space, effort)
-        nodes = rows[arc // len(moves)], ends[:, 3], moves[arc % len(moves), 1]
-        return self._append(*nodes, ends[:, 4], ends[:, :3], is_new)
+        return self._append(*_extensions(self, rows, moves, stations, space, effort), is_new)
 
-    def add(
-        self,
-        parent: IntArray,
-        length: FloatArray,
-        curvature: FloatArray,
-        is_new: Callable[[FloatArray], BoolArray] | None = None,
-    ) -> IntArray:
-        """Add nodes at the ends of free arcs, Shape (n,) each, and return their rows; `is_new` as in `grow`."""
-        poses = advance(self.poses[parent], length, curvature)
-        return self._append(parent, length, curvature, self.prices_after(parent, length), poses, is_new)
+    def add(self, parents: IntArray, lengths: FloatArray, curvatures: FloatArray) -> IntArray:
+        """Add nodes at the ends of free arcs, Shape (n,) each, and return their rows, in ascending order of price."""
+        return self._append(parents, self.ends_of(parents, lengths, curvatures))
 
-    def prices_after(self, parent: IntArray, length: FloatArray) -> FloatArray:
-        """Return the prices at the ends of arcs of signed lengths from nodes, Shape (n,) each [s]."""
-        is_change = self.signs[parent] * np.sign(length) < 0.0
-        return self.prices[parent] + driving_prices(self.gear * length, self.robot) + self.stop * is_change
+    def ends_of(self, parents: IntArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
+        """Return the nodes at the ends of arcs of signed lengths, Shape (n,) each. Shape (n, 7)."""
+        signs = np.sign(lengths)
+        prices = self.prices[parents] + driving_prices(self.gear * lengths, self.robot)
+        prices += self.stop * (self.signs[parents] * signs < 0.0)
+        return np.column_stack((advance(self.poses[parents], lengths, curvatures), prices, signs, lengths, curvatures))
 
     def _append(
-        self,
-        parent: IntArray,
-        length: FloatArray,
-        curvature: FloatArray,
-        price: FloatArray,
-        poses: FloatArray,
-        is_new: Callable[[FloatArray], BoolArray] | None,
+        self, parents: IntArray, ends: FloatArray, is_new: Callable[[FloatArray], BoolArray] | None = None
     ) -> IntArray:
-        order = price.argsort(kind="stable")
-        kept = order if is_new is None else order[is_new(poses[order])]
-        first = len(self)
-        self.poses = np.concatenate((self.poses, poses[kept]))
-        self.prices = np.concatenate((self.prices, price[kept]))
-        self.signs = np.concatenate((self.signs, np.sign(length[kept])))
-        self.parents = np.concatenate((self.parents, parent[kept]))
-        self.lengths = np.concatenate((self.lengths, length[kept]))
-        self.curvatures = np.concatenate((self.curvatures, curvature[kept]))
-        return np.arange(first, len(self))
+        order, first = ends[:, 3].argsort(kind="stable"), self.parents.size
+        if is_new is not None:
+            order = order[is_new(ends[order, :3])]
+        self._set(np.concatenate((self.parents, parents[order])), np.concatenate((self.nodes, ends[order])))
+        return np.arange(first, first + order.size)
 
     def way(self, row: int) -> tuple[FloatArray, FloatArray]:
         """Return lengths and curvatures of the arcs between root and node, in driving order. Shape (k,) each."""
@@ -212,33 +201,30 @@ class ArcTree:
         return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
 
 
-_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=6, numbers=6)
+_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=5, numbers=6)
 
 
 def _extensions_native(
     tree: ArcTree, rows: IntArray, moves: FloatArray, stations: FloatArray, space: FreeSpace, effort: Effort
 ) -> tuple[IntArray, FloatArray]:
-    robot, spacing, n = tree.robot, space.spacing(effort), rows.size * len(moves)
-    steps, limits, most = _steps(float(stations[-1]), spacing), robot.limits, n * (stations.size + 1)
-    found, arcs, ends = np.zeros(1, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty((most, 5))
-    nodes = np.ascontiguousarray(rows), tree.poses, tree.prices, tree.signs
-    arrays = tuple([(array, array.size) for array in (*nodes, moves, steps, stations, found, arcs, ends)])
-    speeds = limits.max_speed, limits.max_reverse_speed
-    numbers = 0.1 * spacing, tree.gear, *speeds, robot.reverse_price, tree.stop
-    sizes = n, len(moves), steps.size, stations.size, _BISECTIONS
+    robot, limits, spacing, n = tree.robot, tree.robot.limits, space.spacing(effort), rows.size * len(moves)
+    most = n * (stations.size + 1)
+    found, parents, ends = np.zeros(1, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty((most, 7))
+    given = (np.ascontiguousarray(rows), rows.size), (tree.nodes, tree.nodes.size), (moves, 2 * len(moves))
+    outputs = (found, 1), (parents, most), (ends, 7 * most)
+    numbers = spacing, tree.gear, limits.max_speed, limits.max_reverse_speed, robot.reverse_price, tree.stop
+    sizes = n, len(moves), stations.size, _BISECTIONS
+    arrays = *given, (stations, stations.size), *outputs
     space.check(_EXTENSIONS_KERNEL, sizes, numbers, arrays, (effort.margin, effort.start_relief))
     count = int(found[0])
-    return arcs[:count], ends[:count]
+    return parents[:count], ends[:count]
 
 
 @twin_of(_extensions_native)
 def _extensions(
     tree: ArcTree, rows: IntArray, moves: FloatArray, stations: FloatArray, space: FreeSpace, effort: Effort
 ) -> tuple[IntArray, FloatArray]:
-    """Return the arcs, Shape (m,), and poses, signed lengths and prices at the ends of `ArcTree.grow`, Shape (m, 5).
-
-    Arcs are numbered in the order of the nodes at `rows`, and of the moves from each.
-    """
+    """Return the parents, Shape (m,), and the nodes, Shape (m, 7), that `ArcTree.grow` finds."""
     node, (sign, curvature) = rows.repeat(len(moves)), np.tile(moves, (rows.size, 1)).T
     free = _free_lengths((tree.poses[node], sign, curvature), float(stations[-1]), space, effort)
     reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
@@ -246,9 +232,7 @@ def _extensions(
     last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
     lengths = np.column_stack((reached, last))
     arc, station = np.nonzero(lengths > 0.0)
-    driven = sign[arc] * lengths[arc, station]
-    poses = advance(tree.poses[node[arc]], driven, curvature[arc])
-    return arc, np.column_stack((poses, driven, tree.prices_after(node[arc], driven)))
+    return node[arc], tree.ends_of(node[arc], sign[arc] * lengths[arc, station], curvature[arc])
 
 
 def _steps(longest: float, spacing: float) -> FloatArray:

@@ -158,13 +158,13 @@ class EndTrees:
         station, found = np.array([effort.radius * EXIT_TURN]), []
         for side in BOTH:
             for gear in gears:
-                sign, bend, way = gear, side / effort.radius, [0]
+                move, way = moves_of((gear,), (side / effort.radius,)), [0]
                 while len(way) <= _MOST_STROKES and abs(tree.lengths[way[-1]]) < station[0]:
-                    fresh = tree.grow(np.array([way[-1]]), moves_of((sign,), (bend,)), station, self.space, effort)
-                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * bend) < _LEAST_TURN:
+                    fresh = tree.grow(np.array(way[-1:]), move, station, self.space, effort)
+                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * move[0, 1]) < _LEAST_TURN:
                         break
                     way.append(int(fresh[-1]))
-                    sign, bend = -sign, -bend
+                    move = -move
                 if abs(tree.lengths[way[-1]]) >= station[0]:
                     found += way[1:]
                     break

@@ -2,7 +2,7 @@
 
 The field contains exact distances at grid points, which bound the distance of any point from below and above
 ([Ericson2005] ch. 7, [Ziegler2010]). Discs that cover the footprint prove that a pose is free, and discs inside the
-footprint prove that it is blocked. The remaining poses are measured exactly.
+footprint prove that it is blocked. The remaining poses are measured exactly. Poses outside the field are not free.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class FreeSpace:
             sizes = np.array((tiles, *discs, bodies, m, k, *robot.sizes.ravel().tolist()))
             least = rule.least_leaving(self._start_clearance, start_relief)
             at_start = np.nan if rule.at_start is None else rule.at_start
-            numbers = np.array(
+            rules = np.array(
                 (
                     *(self.field.spacing, *self.field.origin, self.field.reach),
                     *(rule.required, rule.at_dock, rule.taper, rule.dock_run),
@@ -184,8 +184,8 @@ class FreeSpace:
                     *(TOLERANCE, self.footprint.circumscribed_radius),
                 )
             )
-            circles = np.concatenate([np.ravel((*one.centres.T, *one[1:])) for one in self.levels])
-            parts = sizes, numbers, circles, robot.numbers, self.field.is_box
+            circles = [np.ravel((*one.centres.T, *one[1:])) for one in self.levels]
+            parts = sizes, np.concatenate((rules, *circles, robot.numbers)), self.field.is_box
             outlines = rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper
             self._kernel_arrays[key] = tuple((part, part.size) for part in (*parts, *outlines))
         return self._kernel_arrays[key]
@@ -214,10 +214,11 @@ def _are_free(space: FreeSpace, poses: FloatArray, margin: float, start_relief: 
     required = space.required(poses, margin, start_relief) - TOLERANCE
     free = np.zeros(len(poses), dtype=np.bool_)
     open_rows = np.arange(len(poses))
-    for discs in space.levels:
+    for level, discs in enumerate(space.levels):
         states = disc_states(space.field, discs, poses[open_rows], required[open_rows])
         free[open_rows[states.covered]] = True
-        open_rows = open_rows[~(states.covered | states.blocked | states.outside)]
+        is_decided = states.covered | states.blocked
+        open_rows = open_rows[~(is_decided if level else is_decided | states.outside)]
         if open_rows.size == 0:
             return free
     for k in range(0, open_rows.size, _EXACT_BLOCK):

@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #define TILE 32 /* grid points along the side of a tile */
+#define FEW 16  /* obstacles up to which exact distances take less time than the fine discs, with the same result */
 
 /* Of `distance_field_kernel.c`. */
 int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, double spacing, double reach,
@@ -76,16 +77,19 @@ static double gap_of_vertices(int64_t count, const double *points, int64_t other
     return lowest_along(x, y, count, points) - high;
 }
 
-/* Signed distance of a body, whose corners in the world are given, (count, 2). local: work, corners of the piece. */
-static double signed_distance(Polygon body, Pose at, const double *corners, Polygon piece, double *local)
+/* Whether the signed distance of a body, whose corners in the world are given, (count, 2), is at least the required one.
+ * local: work, corners of the piece. */
+static int is_apart(Polygon body, Pose at, const double *corners, Polygon piece, double required, double *local)
 {
+    if (gap_along_normals(piece, body.count, corners) >= required)
+        return 1;
     for (int64_t k = 0; k < piece.count; k++) { /* the corners of the piece in the frame of the body */
         double x = piece.corners[2 * k] - at.x, y = piece.corners[2 * k + 1] - at.y;
         local[2 * k] = at.c * x + at.s * y;
         local[2 * k + 1] = at.c * y - at.s * x;
     }
-    double best = larger(gap_along_normals(piece, body.count, corners), gap_along_normals(body, piece.count, local));
-    return larger(best, gap_of_vertices(body.count, corners, piece.count, piece.corners));
+    return gap_along_normals(body, piece.count, local) >= required ||
+           gap_of_vertices(body.count, corners, piece.count, piece.corners) >= required;
 }
 
 /* Lower bound of the distance of a body, if it is positive, from its circles, (circles, 2) in the world. */
@@ -140,21 +144,20 @@ typedef struct {
  *
  *   progress  in and out, (3,): items done; tiles that have values, and the number of them with which the call ends
  *   sizes     (6 + 2 bodies,): tiles, coarse discs, fine discs, bodies, obstacles, corners of an obstacle; `body_sizes`
- *   numbers   (22,): spacing, first point and reach of the field [m], then see `required_at`
- *   circles   (4 coarse discs + 4 fine discs,)
- *   body_numbers, is_box, vertices ... high, slots, values: see `Space`
+ *   numbers   spacing, first point and reach of the field [m], 18 numbers of `required_at`, `circles`, `body_numbers`
+ *   is_box, vertices ... high, slots, values: see `Space`
  *   near      work, (obstacles,); work: 2 (corners + corners of an obstacle + circles) numbers */
 #define SPACE_PARAMETERS                                                                                               \
-    int64_t *progress, const int64_t *sizes, const double *numbers, const double *circles,                             \
-        const double *body_numbers, const int64_t *is_box, const double *vertices, const double *normals,              \
-        const double *offsets, const double *low, const double *high, int64_t *slots, double *values, int64_t *near,   \
-        double *work
+    int64_t *progress, const int64_t *sizes, const double *numbers, const int64_t *is_box, const double *vertices,     \
+        const double *normals, const double *offsets, const double *low, const double *high, int64_t *slots,           \
+        double *values, int64_t *near, double *work
 #define SPACE                                                                                                          \
     (Space)                                                                                                            \
     {                                                                                                                  \
         sizes[0], numbers, slots, values, progress[1], progress[2], 0, {sizes[1], sizes[2]},                           \
-            {circles, circles + 4 * sizes[1]}, sizes[3], sizes[4], sizes[5], sizes + 6, body_numbers, is_box,          \
-            vertices, normals, offsets, low, high, near, -1, {0.0, 0.0, 0.0, 0.0}, numbers + 4, work                   \
+            {numbers + 22, numbers + 22 + 4 * sizes[1]}, sizes[3], sizes[4], sizes[5], sizes + 6,                      \
+            numbers + 22 + 4 * (sizes[1] + sizes[2]), is_box, vertices, normals, offsets, low, high, near, -1,         \
+            {0.0, 0.0, 0.0, 0.0}, numbers + 4, work                                                                    \
     }
 
 /* A cell of the grid; NaN becomes 0. */
@@ -277,7 +280,7 @@ static int is_clear(Space *space, Pose at, double required)
             if (apart >= required && apart > 0.0)
                 continue;
             Polygon piece = {space->k, space->vertices + 2 * first, space->normals + 2 * first, space->offsets + first};
-            if (signed_distance(outline, at, corners, piece, local) < required)
+            if (!is_apart(outline, at, corners, piece, required, local))
                 return 0;
         }
         numbers += 2 + 5 * v + 2 * circles;
@@ -293,10 +296,12 @@ static int is_free(Space *space, double x, double y, double yaw)
         return 1;
     double required = required_at(space->rule, x, y);
     space->checked++;
-    for (int level = 0; level < 2; level++) {
+    for (int level = 0; level < (space->m > FEW ? 2 : 1); level++) {
         int state = disc_state(space, at, required, level);
-        if (state)
-            return state < 0 ? -1 : state & 1;
+        if (state < 0)
+            return -1;
+        if (state & 3 || (state && level == 0))
+            return state & 1;
     }
     return is_clear(space, at, required);
 }
@@ -362,24 +367,25 @@ int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *
     return stopped(&space, i, progress);
 }
 
-/* Collision-free length of an arc up to the last of `count` steps, ascending; -1 if a tile has no values. `signed_bend`:
- * sign of the length, and curvature [1/m]. */
-static double free_length(Space *space, const double *from, const double *signed_bend, int64_t count,
-                          const double *steps, int64_t bisections)
+/* Collision-free length of an arc up to `longest`, from poses `spacing` apart; -1 if a tile has no values. `bend`: sign of
+ * the length, and curvature [1/m]. */
+static double free_length(Space *space, const double *from, const double *bend, double longest, double spacing,
+                          int64_t bisections)
 {
-    double free = 0.0, blocked = 0.0, longest = steps[count - 1];
+    double free = 0.0, blocked = 0.0, count = larger(ceil((longest - 1e-9 - spacing) / spacing), 0.0);
     int found = 1;
     set_box(space, from[0] - longest, from[1] - longest, from[0] + longest, from[1] + longest);
-    for (int64_t j = 0; j < count && found == 1; j++) {
-        found = is_free_after(space, from, signed_bend[0] * steps[j], signed_bend[1]);
+    for (double j = 0.0; j <= count && found == 1; j += 1.0) {
+        double length = j < count ? spacing + j * spacing : longest;
+        found = is_free_after(space, from, bend[0] * length, bend[1]);
         if (found == 1)
-            free = steps[j];
+            free = length;
         else
-            blocked = steps[j];
+            blocked = length;
     }
     for (int64_t j = 0; j < bisections && found == 0; j++) {
         double middle = 0.5 * (free + blocked);
-        int at_middle = is_free_after(space, from, signed_bend[0] * middle, signed_bend[1]);
+        int at_middle = is_free_after(space, from, bend[0] * middle, bend[1]);
         if (at_middle < 0)
             found = -1;
         else if (at_middle)
@@ -393,40 +399,42 @@ static double free_length(Space *space, const double *from, const double *signed
 /* Ends of free arcs from nodes of a tree, by all moves from each node; see `_extensions` of `arcs.py`.
  *
  *   n, moves        numbers of arcs, and of moves from each node
- *   count, places, bisections, most  numbers of steps, of stations, of bisections, and of poses after which the call ends
- *   least           [m], length beyond the last station from which the end of the free length is a station too
+ *   places, bisections, most  numbers of stations, of bisections, and of poses after which the call ends
+ *   spacing         of the poses [m]
  *   gear            1, or -1 if the tree is built backwards in time
  *   speed, reverse_speed, reverse_price, stop  [m/s, m/s, s/m, s], prices of motion and of a change of gear
- *   rows            (n / moves,), nodes in the tree, whose poses (nodes, 3), prices and signs (nodes,) are given
+ *   rows            (n / moves,), rows of the tree
+ *   nodes           (nodes, 7), of the tree: pose, price, sign and length of the last arc, curvature
  *   bends           (moves, 2), signs of the lengths and curvatures
- *   steps, stations (count,), (places,), ascending lengths [m]
+ *   stations        (places,), ascending lengths [m]
  *   found           in and out, (1,), number of ends
- *   arcs, ends      out, (n (places + 1),), (n (places + 1), 5): the arc, and pose, signed length and price of its end */
-int64_t optdock_extensions(int64_t n, int64_t moves, int64_t count, int64_t places, int64_t bisections, int64_t most,
-                           double least, double gear, double speed, double reverse_speed, double reverse_price,
-                           double stop, const int64_t *rows, const double *poses, const double *prices,
-                           const double *signs, const double *bends, const double *steps, const double *stations,
-                           int64_t *found, int64_t *arcs, double *ends, SPACE_PARAMETERS)
+ *   parents, ends   out, (n (places + 1),), rows of the tree; (n (places + 1), 7), as `nodes` */
+int64_t optdock_extensions(int64_t n, int64_t moves, int64_t places, int64_t bisections, int64_t most, double spacing,
+                           double gear, double speed, double reverse_speed, double reverse_price, double stop,
+                           const int64_t *rows, const double *nodes, const double *bends, const double *stations,
+                           int64_t *found, int64_t *parents, double *ends, SPACE_PARAMETERS)
 {
     Space space = SPACE;
     int64_t i;
     for (i = progress[0]; i < n && space.checked < most; i++) {
-        int64_t node = rows[i / moves];
-        const double *bend = bends + 2 * (i % moves);
-        double free = free_length(&space, poses + 3 * node, bend, count, steps, bisections), reached = 0.0;
+        const double *node = nodes + 7 * rows[i / moves], *bend = bends + 2 * (i % moves);
+        double free = free_length(&space, node, bend, stations[places - 1], spacing, bisections), reached = 0.0;
         if (free < 0.0)
             break;
         for (int64_t k = 0; k <= places; k++) {
-            double length = k < places ? stations[k] : reached < free - least ? free : 0.0;
+            /* The end of the free length between two stations is also a station. */
+            double length = k < places ? stations[k] : reached < free - 0.1 * spacing ? free : 0.0;
             if (!(length > 0.0 && length <= free + 1e-12))
                 continue;
             reached = length;
-            double driven = bend[0] * length, forward = gear * driven, *end = ends + 5 * found[0];
+            double driven = bend[0] * length, forward = gear * driven, *end = ends + 7 * found[0];
             double time = forward > 0.0 ? forward / speed : -forward / reverse_speed;
-            advance(poses + 3 * node, driven, bend[1], end);
-            end[3] = driven;
-            end[4] = prices[node] + (time + reverse_price * larger(-forward, 0.0)) + stop * (signs[node] * bend[0] < 0.0);
-            arcs[found[0]++] = i;
+            advance(node, driven, bend[1], end);
+            end[3] = node[3] + (time + reverse_price * larger(-forward, 0.0)) + stop * (node[4] * bend[0] < 0.0);
+            end[4] = bend[0];
+            end[5] = driven;
+            end[6] = bend[1];
+            parents[found[0]++] = rows[i / moves];
         }
     }
     return stopped(&space, i, progress);

@@ -75,6 +75,7 @@ def test_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
             free.append(space.is_free(poses_around(seed)))
         slots = space.field._slots
         found.append((slots >= 0, space.field._values[slots[slots >= 0]]))
+    assert len(rocks(seed)) > 16  # with fewer obstacles the kernel needs no fine discs, and fewer tiles
     assert 0.01 < free[0].mean() < 0.99
     assert np.count_nonzero(found[0][0]) > 20
     for a, b in zip(*found, strict=True):
@@ -138,11 +139,9 @@ def test_free_poses_arcs_and_sequences_of_both_lanes_are_equal(body, effort):
     for lane in LANES:
         space = space_among(rocks(1), body)
         tree = ArcTree(np.zeros(3), space.problem.robot, -1)
-        tree.poses, tree.prices, tree.signs = (
-            poses_around(9, 48),
-            np.linspace(0.0, 2.0, 48),
-            np.tile([1.0, 0.0, -1.0], 16),
-        )
+        signs = np.tile([1.0, 0.0, -1.0], 16)
+        nodes = np.column_stack((poses_around(9, 48), np.linspace(0.0, 2.0, 48), signs, np.zeros((48, 2))))
+        tree._set(np.full(48, -1), nodes)
         with using_kernels(lane):
             every = space.is_free(poses_around(1), *limits)
             arc, ends = arcs._extensions(tree, np.arange(47, -1, -1), MOVES, stations, space, effort)
@@ -152,7 +151,7 @@ def test_free_poses_arcs_and_sequences_of_both_lanes_are_equal(body, effort):
         assert twin.dtype == native.dtype
         assert np.array_equal(twin, native)
     assert 0.02 < found[0][0].mean() < 0.98
-    lengths = np.abs(found[0][2][:, 3])
+    lengths = np.abs(found[0][2][:, 5])
     assert 0 < np.count_nonzero(lengths == 0.4) < 48 * len(MOVES)
     assert np.any(~np.isin(lengths, stations))
     assert 0 < found[0][3].sum() < 30
@@ -165,7 +164,7 @@ def test_without_obstacles_everything_is_free():
     lengths, wholes = (
         both_lanes(run)
         for run in (
-            lambda: arcs._extensions(tree, np.zeros(1, dtype=np.int64), MOVES, np.ones(1), space, EFFORTS[0])[1][:, 3],
+            lambda: arcs._extensions(tree, np.zeros(1, dtype=np.int64), MOVES, np.ones(1), space, EFFORTS[0])[1][:, 5],
             lambda: are_free(words_from(0), 0.02, space, (0.0, 0.0)),
         )
     )
