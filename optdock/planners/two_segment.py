@@ -288,7 +288,7 @@ def plan_two_segment(  # noqa: PLR0913 - two poses, what to plan with, and how t
         cost_threshold=parameters.cost_threshold,
         cancel_checker=cancel_checker,
     )
-    _, centreline = sampler.points(Nurbs(_straight(axis.point_c, axis.point_f), sampler.degree), "the centreline")
+    centreline = sampler.samples(_straight(axis.point_c, axis.point_f), "the centreline")[:, :2]
     joint = find_joint(np.array([start.x, start.y]), centreline, axis.angle_threshold)
     gear = Direction(-axis.direction) if joint.dir is JointKind.AWAY else axis.direction
     first = sampler.poses(joint.control_points, gear, "segment 1")
@@ -349,37 +349,37 @@ class CurveSampler(NamedTuple):
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
             PlannerCancelled: If the cancel checker returned True.
         """
-        curve = Nurbs(control_points, degree=self.degree)
-        u, points = self.points(curve, name)
-        found = np.empty((u.size, 3))
-        found[:, :2] = points
-        found[:, 2] = curve.tangent_yaw_at(u) + (math.pi if direction is Direction.REVERSE else 0.0)
+        found = self.samples(control_points, name)
+        count = len(found)
+        if direction is Direction.REVERSE:
+            found[:, 2] += math.pi
         is_finite = np.isfinite(found)
         if not is_finite.all():
             found = found[is_finite.all(axis=1)]
         if len(found) < 2:
             raise NoValidPathCouldBeFound(
-                f"dock planner: {name} is empty: only {len(found)} of {u.size} samples are finite; its control points "
+                f"dock planner: {name} is empty: only {len(found)} of {count} samples are finite; its control points "
                 f"are {control_points.tolist()}",
                 where={"step": name, "control_points": control_points.tolist()},
             )
         found[-1, 2] = found[-2, 2]
         return found
 
-    def points(self, curve: Nurbs, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return parameters from 0 to 1, Shape (m,), and the points of a curve there, Shape (m, 2); see `poses`.
+    def samples(self, control_points: FloatArray, name: str) -> FloatArray:
+        """Return poses of a curve from u = 0 to 1 in the direction of travel; see `poses`. Shape (m, 3).
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, or more than MAX_SAMPLES are needed.
             PlannerCancelled: If the cancel checker returned True.
         """
+        curve = Nurbs(control_points, self.degree)
         u, blocks = shares(self._count(curve, name)), []
         for i in range(0, u.size, _CHUNK):
             if self.cancel_checker():
                 raise PlannerCancelled(f"dock planner: cancelled while sampling {name}")
-            blocks.append(curve.points_at(u[i : i + _CHUNK]))
-            self._check_free(blocks[-1], name)
-        return u, blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+            blocks.append(curve.poses_at(u[i : i + _CHUNK]))
+            self._check_free(blocks[-1][:, :2], name)
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
     def _count(self, curve: Nurbs, name: str) -> int:
         steps = max(curve.speed_bound / self.resolution, (1.0 - 1e-6) / self.step)
