@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,15 @@ def shares(count: int) -> FloatArray:
     found *= 1.0 / count
     found[-1] = 1.0
     return found
+
+
+@functools.lru_cache(maxsize=16)
+def _clamped_knots(count: int, degree: int) -> FloatArray:
+    """Return the knots of a curve with `count` control points. Shape (count + degree + 1,)."""
+    knots = np.zeros(count + degree + 1)
+    knots[degree : count + 1] = shares(count - degree)
+    knots[count + 1 :] = 1.0
+    return readonly(knots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +69,7 @@ class Nurbs(FrozenArrays):
         degree, count = int(self.degree), len(points)
         if count <= degree:
             raise InvalidValue(f"nurbs.control_points: degree {degree} needs at least {degree + 1}, got {count}")
-        knots = np.zeros(count + degree + 1)
-        knots[degree : count + 1] = shares(count - degree)
-        knots[count + 1 :] = 1.0
-        vars(self).update(control_points=points, degree=degree, knots=readonly(knots))
+        vars(self).update(control_points=points, degree=degree, knots=_clamped_knots(count, degree))
 
     @property
     def speed_bound(self) -> float:
@@ -76,46 +83,71 @@ class Nurbs(FrozenArrays):
         return self._derivative(u, 0)
 
     def tangent_yaw_at(self, u: ArrayLike) -> FloatArray:
-        """Return the direction of travel in (-pi, pi]. Shape (m,) [rad].
+        """Return the direction of travel in (-pi, pi], see `poses_at`. Shape (m,) [rad]."""
+        return self.poses_at(u)[:, 2]
+
+    def poses_at(self, u: ArrayLike) -> FloatArray:
+        """Return the points of the curve at parameters `u`, with the direction of travel. Shape (m, 3) [m, m, rad].
 
         Where the first derivative is zero, the direction follows from the second derivative, reversed at u = 1. The
-        result is NaN where both derivatives are zero.
+        direction is NaN where both derivatives are zero.
         """
-        heading = self._derivative(u, 1)
+        points, heading = _spline_at(_clipped(u), self.knots, self.control_points, self.degree)
         moves = (heading[:, 0] != 0.0) | (heading[:, 1] != 0.0)
         if not moves.all():
             second = self._derivative(u, 2)
             heading = np.where(moves[:, None], heading, np.where(vector(u)[:, None] >= 1.0, -second, second))
             moves = (heading[:, 0] != 0.0) | (heading[:, 1] != 0.0)
-        yaw = np.arctan2(heading[:, 1], heading[:, 0])
+        poses = np.empty((len(points), 3))
+        poses[:, :2], yaw = points, poses[:, 2]
+        np.arctan2(heading[:, 1], heading[:, 0], out=yaw)
         yaw[yaw == -np.pi] = np.pi
         yaw[~moves] = np.nan
-        return yaw
+        return poses
 
     def _derivative(self, u: ArrayLike, order: int) -> FloatArray:
-        """Return the derivative of that order, which is a B-spline as well ([Piegl1997] eq. 3.3)."""
-        at = np.minimum(np.maximum(vector(u), 0.0), 1.0)
+        """Return the derivative of that order, which is a B-spline as well."""
         knots, points, degree = self.knots, self.control_points, self.degree
         for _ in range(order):
             if degree == 0:  # the derivative of a constant
-                return np.zeros((at.size, 2))
-            span = knots[degree + 1 : -1] - knots[1 : -degree - 1]
-            points, knots, degree = degree * (points[1:] - points[:-1]) / span[:, None], knots[1:-1], degree - 1
-        return _spline_at(at, knots, points, degree)
+                return np.zeros((vector(u).size, 2))
+            points, knots, degree = _slopes(knots, points, degree), knots[1:-1], degree - 1
+        return _spline_at(_clipped(u), knots, points, degree)[0]
 
 
-_KERNEL = Kernel("optdock_spline_points", sizes=3, numbers=0)
+def _clipped(u: ArrayLike) -> FloatArray:
+    return np.minimum(np.maximum(vector(u), 0.0), 1.0)
 
 
-def _spline_native(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
-    m, n, found, work = u.size, len(points), np.empty((u.size, 2)), np.empty((degree + 1, 2))
-    arrays = (u, m), (knots, n + degree + 1), (points, 2 * n), (work, work.size), (found, 2 * m)
-    _KERNEL((m, n, degree), (), arrays)
-    return found
+def _slopes(knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
+    """Return the control points of the derivative of a B-spline ([Piegl1997] eq. 3.3), whose degree is one lower."""
+    slopes: FloatArray = (
+        degree * (points[1:] - points[:-1]) / (knots[degree + 1 : -1] - knots[1 : -degree - 1])[:, None]
+    )
+    return slopes
+
+
+_KERNEL = Kernel("optdock_spline", sizes=3, numbers=0)
+
+
+def _spline_native(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+    m, n = u.size, len(points)
+    work, found, slopes = np.empty((n + degree, 2)), np.empty((m, 2)), np.empty((m, 2))
+    sizes = m, n + degree + 1, 2 * n, 2 * (n + degree), 2 * m, 2 * m
+    _KERNEL((m, n, degree), (), tuple(zip((u, knots, points, work, found, slopes), sizes, strict=True)))
+    return found, slopes
 
 
 @twin_of(_spline_native)
-def _spline_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
+def _spline_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Return the points and the first derivatives of a B-spline at `u`. Shape (m, 2) each."""
+    found = _points_at(u, knots, points, degree)
+    if degree == 0:
+        return found, np.zeros_like(found)
+    return found, _points_at(u, knots[1:-1], _slopes(knots, points, degree), degree - 1)
+
+
+def _points_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
     """Return the points of a B-spline at `u` by repeated linear interpolation ([DeBoor1978] ch. X, algorithm 8)."""
     span = np.clip(np.searchsorted(knots, u, side="right") - 1, degree, len(points) - 1)[:, None]
     found = points[span + np.arange(-degree, 1)]

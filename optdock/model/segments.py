@@ -145,7 +145,6 @@ class PolylineSegment(FrozenArrays):
             raise InvalidValue("path: a segment's direction: poses are driven forward or in reverse; see TurnSegment")
         check_range(poses, "path")
         poses[:, 2] = unwrap_yaw(poses[:, 2])
-        vars(self).update(poses=readonly(poses), direction=direction)
         knots, nodes, (turn, arc) = np.zeros(len(poses)), np.empty(len(poses)), _step_arcs(poses)
         arc.cumsum(out=knots[1:])
         curvature = _step_curvature(turn, arc)
@@ -153,7 +152,8 @@ class PolylineSegment(FrozenArrays):
         with np.errstate(invalid="ignore"):
             nodes[1:-1] = 0.5 * (curvature[:-1] + curvature[1:])
         nodes[np.isnan(nodes)] = np.inf
-        vars(self).update(knots=readonly(knots), node_curvature=readonly(nodes))
+        arrays = {"poses": readonly(poses), "knots": readonly(knots), "node_curvature": readonly(nodes)}
+        vars(self).update(arrays, direction=direction)
 
     def __repr__(self) -> str:
         return f"<PolylineSegment {self.length:.3f} m {self.direction.name.lower()}, {len(self.poses)} poses>"
@@ -320,7 +320,8 @@ def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _step_curvature(turn: FloatArray, arc: FloatArray) -> FloatArray:
     """Return turn / arc of every step, infinite for steps without length that turn. Shape (n,) [1/m]."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = turn / arc
+    stands = arc == 0.0
+    ratio: FloatArray = turn / np.where(stands, 1.0, arc)
+    ratio[stands] = np.copysign(np.inf, turn[stands])
     ratio[turn == 0.0] = 0.0
     return ratio

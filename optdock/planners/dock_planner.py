@@ -88,18 +88,16 @@ class DockPlanner(GlobalPlanner):
         outline, parameters, problem = self.parameters.dock_outline, self.parameters, self.context.problem
         if problem is not None and outline is None:
             outline = problem.dock.footprint
-        if problem is not None and parameters.direction is DockDirection.AUTO:
-            parameters = parameters.model_copy(update={"direction": problem.dock.direction})
+        wanted = DockDirection.AUTO if problem is None else problem.dock.direction
+        if parameters.direction is DockDirection.AUTO is not wanted:
+            parameters = parameters.model_copy(update={"direction": wanted})
         geometry = DockGeometry.from_footprints(robot, outline)
-        plan = plan_two_segment(start, goal, geometry, parameters, self.context.costmap, cancel_checker)
-        self.context.logger.debug(
-            "%s: dir %d, %s, %.3f m", self.context.name, plan.joint.dir, plan.axis.direction.name, plan.path.length
-        )
-        if problem is None:
-            return plan
-        if self.parameters.check_free_space:
+        frame, costmap = "" if problem is None else problem.frame, self.context.costmap
+        plan = plan_two_segment(start, goal, geometry, parameters, costmap, cancel_checker, frame=frame)
+        self.context.logger.debug("%s: dir %d, %r", self.context.name, plan.joint.dir, plan.path)
+        if problem is not None and self.parameters.check_free_space:
             _check_free(plan.path, (self.context.problem_at_hand(None) or problem).all_obstacles)
-        return plan._replace(path=plan.path.with_frame(problem.frame))
+        return plan
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:

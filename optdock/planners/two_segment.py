@@ -27,7 +27,7 @@ from optdock.errors import (
     StartOccupied,
     StartOutsideMapBounds,
 )
-from optdock.geometry.arrays import FrozenArrays
+from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.nurbs import Nurbs, shares
 from optdock.geometry.pose import unwrap_yaw
@@ -148,6 +148,9 @@ class ApproachAxis(FrozenArrays):
     safety_distance: float
     angle_threshold: float
 
+    def __post_init__(self) -> None:
+        vars(self).update(goal=readonly(self.goal), outward=readonly(self.outward))
+
     def _at(self, distance: float) -> FloatArray:
         return self.goal + distance * self.outward
 
@@ -184,9 +187,8 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
     safety_distance = 2.0 * (geometry.robot_radius + parameters.calib_safety_distance)
     _check_geometry(geometry, safety_distance)
     distance_min_c = 0.5 * (geometry.robot_length + geometry.dock_length)
-    heading = np.array([math.cos(goal.yaw), math.sin(goal.yaw)])
-    from_goal = np.array([start.x - goal.x, start.y - goal.y])
-    ahead = float(from_goal @ heading)
+    c, s, dx, dy = math.cos(goal.yaw), math.sin(goal.yaw), start.x - goal.x, start.y - goal.y
+    ahead = c * dx + s * dy
     # The robot comes from behind the docked pose when it drives in forward.
     direction = Direction.REVERSE if ahead > 0.0 else Direction.FORWARD
     _check_direction(direction, parameters.direction, ahead)
@@ -198,12 +200,12 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
             "farther out along the axis",
             where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
         )
-    distance_ad = abs(float(heading[0] * from_goal[1] - heading[1] * from_goal[0]))
+    distance_ad = abs(c * dy - s * dx)
     scale = distance_ad / (distance_ad + safety_distance)
     threshold = min((parameters.alpha + abs(scale)) * parameters.beta * math.pi, parameters.gamma * math.pi)
     return ApproachAxis(
         goal=np.array([goal.x, goal.y]),
-        outward=-int(direction) * heading,
+        outward=-int(direction) * np.array([c, s]),
         direction=direction,
         distance_min_c=distance_min_c,
         along=along,
@@ -248,15 +250,17 @@ class TwoSegmentPlan(NamedTuple):
     joint: Joint
 
 
-def plan_two_segment(
+def plan_two_segment(  # noqa: PLR0913 - two poses, what to plan with, and how to name the frame
     start: Pose2,
     goal: Pose2,
     geometry: DockGeometry,
     parameters: DockPlannerParameters,
     costmap: Costmap | None = None,
     cancel_checker: Callable[[], bool] = never_cancelled,
+    *,
+    frame: str = "",
 ) -> TwoSegmentPlan:
-    """Compute the raw docking path from `start` to `goal`.
+    """Compute the raw docking path from `start` to `goal`, in the coordinate frame with the name `frame`.
 
     The resolution of the costmap, or `parameters.resolution` without a costmap, bounds the spacing of poses. If
     `parameters.check_free_space` is set, the cells under the start, the goal and the curves must be free; points
@@ -284,18 +288,15 @@ def plan_two_segment(
         cost_threshold=parameters.cost_threshold,
         cancel_checker=cancel_checker,
     )
-    middle = 0.5 * (axis.point_c + axis.point_f)
-    _, centreline = sampler.points(
-        Nurbs(np.array([axis.point_c, middle, axis.point_f]), sampler.degree), "the centreline"
-    )
+    centreline = sampler.samples(_straight(axis.point_c, axis.point_f), "the centreline")[:, :2]
     joint = find_joint(np.array([start.x, start.y]), centreline, axis.angle_threshold)
     gear = Direction(-axis.direction) if joint.dir is JointKind.AWAY else axis.direction
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
-    second = sampler.poses(np.array([last, 0.5 * (last + axis.goal), axis.goal]), axis.direction, "segment 2")
+    second = sampler.poses(_straight(last, axis.goal), axis.direction, "segment 2")
     if cancel_checker():
         raise PlannerCancelled("dock planner: cancelled after the sampling")
-    return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction)), axis, joint)
+    return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction), frame), axis, joint)
 
 
 def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, threshold: int) -> None:
@@ -322,8 +323,7 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
             )
 
 
-@dataclass(frozen=True, eq=False)
-class CurveSampler:
+class CurveSampler(NamedTuple):
     """Sampling of curves through control points.
 
     `degree`: degree of the NURBS. `step`: largest step of u. `resolution`: largest distance between neighbouring poses
@@ -349,38 +349,37 @@ class CurveSampler:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
             PlannerCancelled: If the cancel checker returned True.
         """
-        curve = Nurbs(control_points, degree=self.degree)
-        u, points = self.points(curve, name)
-        found = np.empty((u.size, 3))
-        found[:, :2] = points
-        found[:, 2] = curve.tangent_yaw_at(u) + (math.pi if direction is Direction.REVERSE else 0.0)
-        is_finite = np.isfinite(found).all(axis=1)
+        found = self.samples(control_points, name)
+        count = len(found)
+        if direction is Direction.REVERSE:
+            found[:, 2] += math.pi
+        is_finite = np.isfinite(found)
         if not is_finite.all():
-            found = found[is_finite]
+            found = found[is_finite.all(axis=1)]
         if len(found) < 2:
             raise NoValidPathCouldBeFound(
-                f"dock planner: {name} is empty: only {len(found)} of {u.size} samples are finite; its control points "
+                f"dock planner: {name} is empty: only {len(found)} of {count} samples are finite; its control points "
                 f"are {control_points.tolist()}",
                 where={"step": name, "control_points": control_points.tolist()},
             )
         found[-1, 2] = found[-2, 2]
         return found
 
-    def points(self, curve: Nurbs, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return parameters from 0 to 1, Shape (m,), and the points of a curve there, Shape (m, 2); see `poses`.
+    def samples(self, control_points: FloatArray, name: str) -> FloatArray:
+        """Return poses of a curve from u = 0 to 1 in the direction of travel; see `poses`. Shape (m, 3).
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, or more than MAX_SAMPLES are needed.
             PlannerCancelled: If the cancel checker returned True.
         """
-        u = shares(self._count(curve, name))
-        points = np.empty((u.size, 2))
-        for some in (slice(i, i + _CHUNK) for i in range(0, u.size, _CHUNK)):
+        curve = Nurbs(control_points, self.degree)
+        u, blocks = shares(self._count(curve, name)), []
+        for i in range(0, u.size, _CHUNK):
             if self.cancel_checker():
                 raise PlannerCancelled(f"dock planner: cancelled while sampling {name}")
-            points[some] = curve.points_at(u[some])
-            self._check_free(points[some], name)
-        return u, points
+            blocks.append(curve.poses_at(u[i : i + _CHUNK]))
+            self._check_free(blocks[-1][:, :2], name)
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
     def _count(self, curve: Nurbs, name: str) -> int:
         steps = max(curve.speed_bound / self.resolution, (1.0 - 1e-6) / self.step)
@@ -436,14 +435,15 @@ def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float
     `angle_threshold`: smallest interior angle between the rays from the joint to A and along the axis [rad].
     """
     distance = np.hypot(*(centreline - start).T)
-    nearest = int(np.argmax(distance <= distance.min() + _SAME_DISTANCE))
-    toward = _first_wide(start, centreline, np.arange(nearest, 0, -1), centreline[0], angle_threshold)
+    nearest = int((distance <= distance.min() + _SAME_DISTANCE).argmax())
+    rays = start, centreline, distance
+    toward = _first_wide(*rays, np.arange(nearest, 0, -1), centreline[0], angle_threshold)
     if toward is not None and _fits(distance[toward], centreline[toward], centreline[0]):
         return _toward(start, centreline, toward, distance[toward])
     if _distance_to_line(start, centreline) <= _ON_AXIS:
         return Joint(JointKind.TOWARD, 0, _straight(start, centreline[0]))
     indices = np.arange(nearest, len(centreline))
-    away = _first_wide(start, centreline, indices, centreline[-1], angle_threshold - _REVERSE_SLACK)
+    away = _first_wide(*rays, indices, centreline[-1], angle_threshold - _REVERSE_SLACK)
     if away is not None and _fits(distance[away], centreline[away], centreline[-1]):
         return Joint(JointKind.AWAY, away, np.array([start, centreline[away], centreline[-1]]))
     return Joint(JointKind.CORNER, -1, _straight(start, centreline[nearest]))
@@ -457,31 +457,33 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
     """
     a, b = first - at, second - at
     cross = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    angles: FloatArray = np.arctan2(cross, np.sum(a * b, axis=1))
+    dot = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + 0.0  # -0.0 + 0.0 is 0.0
+    angles: FloatArray = np.arctan2(cross, dot)
     return angles
 
 
 def _first_wide(
-    start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
+    start: FloatArray, line: FloatArray, distance: FloatArray, indices: IntArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """Return the first of `indices` at which the angle between the rays to `start` and `end` reaches the threshold."""
-    at = centreline[indices]
-    real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
-    wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real
-    return int(indices[np.argmax(wide)]) if wide.any() else None
+    """Return the first of `indices` at which the angle between the rays to `start` and `end` reaches the threshold.
+
+    `distance`: distances of the points of the line from `start`, Shape (n,) [m].
+    """
+    real = distance[indices] > _SAME_DISTANCE  # a ray of rounding noise has no angle
+    wide = (interior_angles(line[indices], start, end) >= threshold - _SAME_ANGLE) & real
+    return int(indices[wide.argmax()]) if wide.any() else None
 
 
 def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
     """Whether the distance from the joint to `end` is at least the distance to the joint."""
-    return bool(np.hypot(*(end - joint)) >= leg - _SAME_DISTANCE)
+    return math.dist(joint, end) >= leg - _SAME_DISTANCE
 
 
 def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
     """Return the joint with equal legs, accurate to one sample, which gives an arc that ends tangent to the axis."""
     ahead = centreline[index::-1]
     far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
-    end = ahead[int(np.argmax(far))]
-    return Joint(JointKind.TOWARD, index, np.array([start, centreline[index], end]))
+    return Joint(JointKind.TOWARD, index, np.array([start, centreline[index], ahead[far.argmax()]]))
 
 
 def _straight(start: FloatArray, end: FloatArray) -> FloatArray:
@@ -495,23 +497,16 @@ def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
 
 
 def _assembled(
-    start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
+    start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction], frame: str
 ) -> Path:
     """Join start, both segments and goal; repeated positions are dropped, except for the goal."""
-    first, last = start.as_array()[None], goal.as_array()[None]
-    head = _without_repeats(np.concatenate((first, parts[0])))
-    tail = _without_repeats(np.concatenate((head[-1:], parts[1])))[1:]
-    apart = np.hypot(*(tail[:, :2] - last[:, :2]).T) > _SAME_POSITION
-    poses = np.concatenate((head, tail[apart], last))
-    poses[:, 2] = unwrap_yaw(poses[:, 2])
-    joint = len(head) - 1
-    if gears[0] is gears[1] or joint == 0:
-        return Path((PolylineSegment(poses, gears[1]),))
-    return Path((PolylineSegment(poses[: joint + 1], gears[0]), PolylineSegment(poses[joint:], gears[1])))
-
-
-def _without_repeats(poses: FloatArray) -> FloatArray:
+    last, head = goal.as_array(), len(parts[0]) + 1
+    poses = np.concatenate((start.as_array()[None], *parts, last[None]))
     kept = np.ones(len(poses), dtype=np.bool_)
-    kept[1:] = np.hypot(*(poses[1:, :2] - poses[:-1, :2]).T) > _SAME_POSITION
-    found: FloatArray = poses[kept]
-    return found
+    kept[1:-1] = np.hypot(*(poses[1:-1, :2] - poses[:-2, :2]).T) > _SAME_POSITION
+    kept[head:-1] &= np.hypot(*(poses[head:-1, :2] - last[:2]).T) > _SAME_POSITION
+    poses, joint = poses[kept], int(np.count_nonzero(kept[:head])) - 1
+    if gears[0] is gears[1] or joint == 0:
+        return Path((PolylineSegment(poses, gears[1]),), frame)
+    poses[:, 2] = unwrap_yaw(poses[:, 2])
+    return Path((PolylineSegment(poses[: joint + 1], gears[0]), PolylineSegment(poses[joint:], gears[1])), frame)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["ArcTree", "Arcs", "Moves", "advance", "are_free", "first_free", "joined", "may_be_free"]
+__all__ = ["ArcTree", "Arcs", "advance", "are_free", "first_free", "joined", "may_be_free", "moves_of"]
 
 _NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
@@ -117,17 +117,9 @@ class Arcs(NamedTuple):
         return Path(tuple(PolylineSegment(block, gear) for block, gear in zip(blocks, gears, strict=True)), frame)
 
 
-class Moves(NamedTuple):
-    """Motions to try from every node: signs of the lengths, and curvatures [1/m], Shape (c,) each."""
-
-    signs: FloatArray
-    curvatures: FloatArray
-
-    @classmethod
-    def of(cls, signs: tuple[float, ...], curvatures: tuple[float, ...]) -> Moves:
-        """Return every combination of sign and curvature."""
-        grid = np.array([(sign, curvature) for sign in signs for curvature in curvatures])
-        return cls(grid[:, 0], grid[:, 1])
+def moves_of(signs: tuple[float, ...], curvatures: tuple[float, ...]) -> FloatArray:
+    """Return every combination of a sign of the length and a curvature [1/m]. Shape (c, 2)."""
+    return np.array([(sign, curvature) for sign in signs for curvature in curvatures])
 
 
 class ArcTree:
@@ -137,25 +129,34 @@ class ArcTree:
     goal, which is built backwards in time.
 
     Attributes:
+        gear: 1 or -1.
+        robot: The robot.
+        stop: Price of a change of gear [s].
+        nodes: Pose, price, sign, length and curvature of each node, Shape (n, 7), with the following columns.
         poses: Shape (n, 3).
         prices: Price of the path between the root and the node, Shape (n,) [s].
         signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
+        lengths, curvatures: Of the last arc, Shape (n,) [m, 1/m].
+        parents: Row of the node from which the last arc begins, -1 at the root. Shape (n,).
     """
 
     def __init__(self, root: FloatArray, robot: Robot, gear: int) -> None:
-        self.gear, self._robot = gear, robot
-        self.poses, self.prices, self.signs = root[None].copy(), np.zeros(1), np.zeros(1)
-        self.parents = np.full(1, -1)
-        self.lengths, self.curvatures = np.zeros(1), np.zeros(1)
-        self._stop = stopping_cost(robot.limits)
+        self.gear, self.robot, self.stop = gear, robot, stopping_cost(robot.limits)
+        nodes = np.zeros((1, 7))
+        nodes[0, :3] = root
+        self._set(np.full(1, -1), nodes)
+
+    def _set(self, parents: IntArray, nodes: FloatArray) -> None:
+        self.parents, self.nodes, self.poses = parents, nodes, nodes[:, :3]
+        self.prices, self.signs, self.lengths, self.curvatures = nodes[:, 3:].T
 
     def __len__(self) -> int:
-        return len(self.poses)
+        return self.parents.size
 
     def grow(
         self,
         rows: IntArray,
-        moves: Moves,
+        moves: FloatArray,
         stations: FloatArray,
         space: FreeSpace,
         effort: Effort,
@@ -163,41 +164,30 @@ class ArcTree:
     ) -> IntArray:
         """Extend the nodes at `rows` by all moves, up to their first collision, and return the rows of the new nodes.
 
-        Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
-        found, in ascending order of price; None keeps all poses.
+        `moves`: see `moves_of`. Nodes are added at `stations`, ascending lengths [m], and at the last free pose.
+        `is_new` filters the poses found, in ascending order of price; None keeps all poses.
         """
-        node = np.repeat(rows, moves.signs.size)
-        sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
-        free = _free_lengths((self.poses[node], sign, curvature), float(stations[-1]), space, effort)
-        reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
-        # The end of the free length between two stations is also a station.
-        last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
-        lengths = np.column_stack((reached, last))
-        arc, station = np.nonzero(lengths > 0.0)
-        return self.add(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
+        return self._append(*_extensions(self, rows, moves, stations, space, effort), is_new)
 
-    def add(
-        self,
-        parent: IntArray,
-        length: FloatArray,
-        curvature: FloatArray,
-        is_new: Callable[[FloatArray], BoolArray] | None = None,
+    def add(self, parents: IntArray, lengths: FloatArray, curvatures: FloatArray) -> IntArray:
+        """Add nodes at the ends of free arcs, Shape (n,) each, and return their rows, in ascending order of price."""
+        return self._append(parents, self.ends_of(parents, lengths, curvatures))
+
+    def ends_of(self, parents: IntArray, lengths: FloatArray, curvatures: FloatArray) -> FloatArray:
+        """Return the nodes at the ends of arcs of signed lengths, Shape (n,) each. Shape (n, 7)."""
+        signs = np.sign(lengths)
+        prices = self.prices[parents] + driving_prices(self.gear * lengths, self.robot)
+        prices += self.stop * (self.signs[parents] * signs < 0.0)
+        return np.column_stack((advance(self.poses[parents], lengths, curvatures), prices, signs, lengths, curvatures))
+
+    def _append(
+        self, parents: IntArray, ends: FloatArray, is_new: Callable[[FloatArray], BoolArray] | None = None
     ) -> IntArray:
-        """Add nodes at the ends of free arcs, Shape (n,) each, and return their rows; `is_new` as in `grow`."""
-        sign = np.sign(length)
-        driven = driving_prices(self.gear * length, self._robot)
-        price = self.prices[parent] + driven + self._stop * (self.signs[parent] * sign < 0.0)
-        poses = advance(self.poses[parent], length, curvature)
-        order = np.argsort(price, kind="stable")
-        kept = order if is_new is None else order[is_new(poses[order])]
-        first = len(self)
-        self.poses = np.concatenate((self.poses, poses[kept]))
-        self.prices = np.concatenate((self.prices, price[kept]))
-        self.signs = np.concatenate((self.signs, sign[kept]))
-        self.parents = np.concatenate((self.parents, parent[kept]))
-        self.lengths = np.concatenate((self.lengths, length[kept]))
-        self.curvatures = np.concatenate((self.curvatures, curvature[kept]))
-        return np.arange(first, len(self))
+        order, first = ends[:, 3].argsort(kind="stable"), self.parents.size
+        if is_new is not None:
+            order = order[is_new(ends[order, :3])]
+        self._set(np.concatenate((self.parents, parents[order])), np.concatenate((self.nodes, ends[order])))
+        return np.arange(first, first + order.size)
 
     def way(self, row: int) -> tuple[FloatArray, FloatArray]:
         """Return lengths and curvatures of the arcs between root and node, in driving order. Shape (k,) each."""
@@ -211,20 +201,38 @@ class ArcTree:
         return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
 
 
-_LENGTHS_KERNEL = Kernel("optdock_free_lengths", sizes=4, numbers=0)
+_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=5, numbers=6)
 
 
-def _free_lengths_native(
-    starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
-) -> FloatArray:
-    (poses, signs, curvatures), steps = starts, _steps(longest, space.spacing(effort))
-    n, free = len(poses), np.empty(len(poses))
-    if len(space.obstacles) == 0:
-        return np.full(n, longest)
-    columns = [(np.ascontiguousarray(column), column.size) for column in (poses, signs, curvatures, steps)]
-    limits = effort.margin, effort.start_relief
-    space.check(_LENGTHS_KERNEL, (n, steps.size, _BISECTIONS), (), (*columns, (free, n)), limits)
-    return free
+def _extensions_native(
+    tree: ArcTree, rows: IntArray, moves: FloatArray, stations: FloatArray, space: FreeSpace, effort: Effort
+) -> tuple[IntArray, FloatArray]:
+    robot, limits, spacing, n = tree.robot, tree.robot.limits, space.spacing(effort), rows.size * len(moves)
+    most = n * (stations.size + 1)
+    found, parents, ends = np.zeros(1, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty((most, 7))
+    given = (np.ascontiguousarray(rows), rows.size), (tree.nodes, tree.nodes.size), (moves, 2 * len(moves))
+    outputs = (found, 1), (parents, most), (ends, 7 * most)
+    numbers = spacing, tree.gear, limits.max_speed, limits.max_reverse_speed, robot.reverse_price, tree.stop
+    sizes = n, len(moves), stations.size, _BISECTIONS
+    arrays = *given, (stations, stations.size), *outputs
+    space.check(_EXTENSIONS_KERNEL, sizes, numbers, arrays, (effort.margin, effort.start_relief))
+    count = int(found[0])
+    return parents[:count], ends[:count]
+
+
+@twin_of(_extensions_native)
+def _extensions(
+    tree: ArcTree, rows: IntArray, moves: FloatArray, stations: FloatArray, space: FreeSpace, effort: Effort
+) -> tuple[IntArray, FloatArray]:
+    """Return the parents, Shape (m,), and the nodes, Shape (m, 7), that `ArcTree.grow` finds."""
+    node, (sign, curvature) = rows.repeat(len(moves)), np.tile(moves, (rows.size, 1)).T
+    free = _free_lengths((tree.poses[node], sign, curvature), float(stations[-1]), space, effort)
+    reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
+    # The end of the free length between two stations is also a station.
+    last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
+    lengths = np.column_stack((reached, last))
+    arc, station = np.nonzero(lengths > 0.0)
+    return node[arc], tree.ends_of(node[arc], sign[arc] * lengths[arc, station], curvature[arc])
 
 
 def _steps(longest: float, spacing: float) -> FloatArray:
@@ -232,7 +240,6 @@ def _steps(longest: float, spacing: float) -> FloatArray:
     return np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
 
 
-@twin_of(_free_lengths_native)
 def _free_lengths(
     starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
 ) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -42,9 +43,13 @@ _NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
 
 
 class Connections(NamedTuple):
-    """Words between nodes in ascending order of the price of the whole manoeuvre, Shape (n,) or (n, 5)."""
+    """Words between nodes in ascending order of the price of the whole manoeuvre, Shape (n,) or (n, 5).
+
+    `changes`: changes of gear within a word and at its ends.
+    """
 
     prices: FloatArray
+    changes: FloatArray
     exits: IntArray
     entries: IntArray
     lengths: FloatArray
@@ -52,8 +57,9 @@ class Connections(NamedTuple):
 
     def rows(self, keep: IntArray | BoolArray | slice) -> Connections:
         """Return the words selected by `keep`."""
+        lengths, curvatures = self.lengths[keep], self.curvatures[keep]
         return Connections(
-            self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]
+            self.prices[keep], self.changes[keep], self.exits[keep], self.entries[keep], lengths, curvatures
         )
 
     def at_prices(self, prices: FloatArray, most: float) -> Connections:
@@ -96,7 +102,7 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
         allowed &= first * problem.start_speed > 0.0
     kept = allowed.nonzero()[0]
     kept = kept[prices[kept].argsort(kind="stable")]
-    return Connections(prices[kept], i[kept], j[kept], words.lengths[kept], words.curvatures[kept])
+    return Connections(prices, changes, i, j, words.lengths, words.curvatures).rows(kept)
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
@@ -169,22 +175,33 @@ def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connectio
     return found.rows(may_be_free(words, _COARSE, space).nonzero()[0])
 
 
-def free_manoeuvres(
+def free_manoeuvres(  # noqa: PLR0913 - words, two ends, a space, and how to search
     found: Connections,
     exits: ArcTree,
     entries: ArcTree,
     space: FreeSpace,
     effort: Effort,
     worthwhile: Callable[[], float],
+    *,
+    per_change: float = 0.0,
 ) -> Iterator[Arcs]:
-    """Yield collision-free manoeuvres from start to goal in ascending order of price, up to `worthwhile()`."""
-    limits, spacing, row = (effort.margin, effort.start_relief), space.spacing(effort), 0
-    while row < (last := int(found.prices.searchsorted(worthwhile()))):
+    """Yield collision-free manoeuvres from start to goal in ascending order of price, up to `worthwhile()`.
+
+    `per_change`: expected addition to the price per change of gear [s].
+    """
+    limits, spacing, row, most = (effort.margin, effort.start_relief), space.spacing(effort), 0, math.inf
+    while True:
+        if (now := worthwhile()) < most:
+            most, found, row = now, found.rows(slice(row, None)), 0
+            found = found.rows(found.prices + per_change * found.changes < most)
+        if row == found.prices.size:
+            return
         space.poll()
-        some = slice(row, min(row + _BATCH, last))
+        some = slice(row, row + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
-        row += first_free(words, _COARSE, spacing, space, limits)
-        if row == some.stop:
+        first = first_free(words, _COARSE, spacing, space, limits)
+        row += first
+        if first == len(words.lengths):
             continue
         way_out, way_in = exits.way(int(found.exits[row])), entries.way(int(found.entries[row]))
         whole = joined(space.problem.start.as_array(), way_out, (found.lengths[row], found.curvatures[row]), way_in)

@@ -28,7 +28,7 @@ class DistanceField:
     `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: spacing of the grid [m]. `poll`: called before
     every few tiles are computed. Attributes `tiles`, `side`: numbers of tiles and grid points along each side;
     attribute `origin`: the first grid point, Shape (2,) [m]; attribute `is_box`: 1 for every piece that is an
-    axis-aligned rectangle, otherwise 0, Shape (m,).
+    axis-aligned rectangle, otherwise 0, Shape (m,); attribute `count`: number of tiles that have values.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class DistanceField:
         self._slots = np.full(self.tiles**2, -1)  # index of the values of a tile; -1: not computed yet
         self._missing = np.empty_like(self._slots)
         self._values = np.empty((16, TILE, TILE))
-        self._count = 0
+        self.count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the distances of points, Shape (..., 2) [m]; the lower bound is -inf outside the field."""
@@ -78,12 +78,20 @@ class DistanceField:
         for k in range(0, tiles.size, _TILES_AT_ONCE):
             self.poll()
             some = ascending[k : k + _TILES_AT_ONCE]
-            values, first, last = _tile_values(self, some), self._count, self._count + some.size
-            if last > len(self._values):
-                self._values = np.concatenate((self._values, np.empty_like(self._values)))
-            self._values[first:last] = values
-            self._slots[some] = np.arange(first, last)
-            self._count = last
+            slots, values, first, _ = self.room_for_more()
+            self.count = first + some.size
+            values[first : self.count] = _tile_values(self, some)
+            slots[some] = np.arange(first, self.count)
+
+    def room_for_more(self) -> tuple[IntArray, FloatArray, int, int]:
+        """Return the indices and the values of the tiles, their number, and the number until which there is room.
+
+        A kernel may compute so many tiles between two polls; then `count` must be set.
+        """
+        most = self.count + _TILES_AT_ONCE
+        if most > len(self._values):
+            self._values = np.concatenate((self._values, np.empty_like(self._values)))
+        return self._slots, self._values, self.count, most
 
 
 class Discs(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import ArcTree, Moves, advance
+from optdock.planners.manoeuvres.arcs import ArcTree, advance, moves_of
 from optdock.planners.manoeuvres.connections import TreeNodes
 from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid
 
@@ -84,14 +84,14 @@ class EndTrees:
         """Return nodes at the start and along the free straight lines out of the start; for `more` see `staging`."""
         tree = self.from_start()
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
-        tree.grow(ROOT, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
+        tree.grow(ROOT, moves_of((1.0, -1.0), (0.0,)), stations, self.space, effort)
         return TreeNodes(tree, np.arange(len(tree)))
 
     def straight_runs(self, effort: Effort) -> dict[str, float]:
         """Return the free length [m] in front of the dock in each gear, up to the final straight plus two radii."""
         tree = self._from_goal()
         longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
-        tree.grow(ROOT, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
+        tree.grow(ROOT, moves_of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
         return {
             DockDirection.FORWARD.value: float(-min(tree.lengths)),
             DockDirection.BACKWARD.value: float(max(tree.lengths)),
@@ -106,7 +106,7 @@ class EndTrees:
         stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
-        rows = tree.grow(ROOT, Moves.of(self._out_of_dock, (0.0,)), stations, self.space, effort)
+        rows = tree.grow(ROOT, moves_of(self._out_of_dock, (0.0,)), stations, self.space, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
         return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
@@ -124,7 +124,7 @@ class EndTrees:
         tree, rows = self.staging(effort)
         if self.problem.dock.final_straight > 0.0:
             return TreeNodes(tree, rows)
-        arcs = Moves.of(self._out_of_dock, (1.0 / effort.radius, -1.0 / effort.radius))
+        arcs = moves_of(self._out_of_dock, (1.0 / effort.radius, -1.0 / effort.radius))
         return TreeNodes(tree, np.append(rows, tree.grow(ROOT, arcs, self.radius * _RUNS[1:], self.space, effort)))
 
     def grown(
@@ -139,10 +139,10 @@ class EndTrees:
         """
         tree, first = end
         station, grid = np.array([effort.radius * EXIT_TURN]), PoseGrid(self.space, effort.fineness)
-        moves, onwards = (Moves.of(signs, (0.0, *(bend / effort.radius for bend in bends))) for signs in (gears, BOTH))
+        moves, onwards = (moves_of(signs, (0.0, *(bend / effort.radius for bend in bends))) for signs in (gears, BOTH))
         rows = fresh = tree.grow(first, moves, station, self.space, effort)
         lengths = np.abs(tree.lengths[rows])
-        room = float(lengths.sum()) / (moves.signs.size * first.size)
+        room = float(lengths.sum()) / (len(moves) * first.size)
         if first.size == 1 and room < _SLOT * station[0] and effort.margin > 0.0:
             return self._strokes(tree, gears, effort), room
         is_boxed_in = np.sum(lengths >= station) < _FREE_EXITS * first.size
@@ -158,13 +158,13 @@ class EndTrees:
         station, found = np.array([effort.radius * EXIT_TURN]), []
         for side in BOTH:
             for gear in gears:
-                sign, bend, way = gear, side / effort.radius, [0]
+                move, way = moves_of((gear,), (side / effort.radius,)), [0]
                 while len(way) <= _MOST_STROKES and abs(tree.lengths[way[-1]]) < station[0]:
-                    fresh = tree.grow(np.array([way[-1]]), Moves.of((sign,), (bend,)), station, self.space, effort)
-                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * bend) < _LEAST_TURN:
+                    fresh = tree.grow(np.array(way[-1:]), move, station, self.space, effort)
+                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * move[0, 1]) < _LEAST_TURN:
                         break
                     way.append(int(fresh[-1]))
-                    sign, bend = -sign, -bend
+                    move = -move
                 if abs(tree.lengths[way[-1]]) >= station[0]:
                     found += way[1:]
                     break
@@ -173,9 +173,9 @@ class EndTrees:
     def room_before_dock(self, effort: Effort) -> float:
         """Return the mean free length of the last arcs [m]; `grown` returns the mean of the first arcs."""
         tree = self._from_goal()
-        moves = Moves.of(self._out_of_dock, (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
+        moves = moves_of(self._out_of_dock, (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
         tree.grow(ROOT, moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)
-        return float(np.abs(tree.lengths).sum()) / moves.signs.size
+        return float(np.abs(tree.lengths).sum()) / len(moves)
 
 
 def turning_radius(problem: DockingProblem) -> float:

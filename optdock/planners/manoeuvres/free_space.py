@@ -2,7 +2,7 @@
 
 The field contains exact distances at grid points, which bound the distance of any point from below and above
 ([Ericson2005] ch. 7, [Ziegler2010]). Discs that cover the footprint prove that a pose is free, and discs inside the
-footprint prove that it is blocked. The remaining poses are measured exactly.
+footprint prove that it is blocked. The remaining poses are measured exactly. Poses outside the field are not free.
 """
 
 from __future__ import annotations
@@ -102,6 +102,8 @@ class FreeSpace:
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
         self.levels = [_discs(self.footprint, across) for across in (1, _FINE_DISCS)]
+        robot = packed_footprint(self.footprint)
+        self._at_once = max(1, _AT_ONCE // (robot.corners * len(robot.sizes) + 4))
 
     def spacing(self, effort: Effort) -> float:
         """Return the spacing [m] between the poses of a collision check."""
@@ -155,15 +157,13 @@ class FreeSpace:
         `limits`: margin and start relief. The kernel gets a limit of poses per call as its last size, and `progress`
         and the arrays of the free space after its own arrays.
         """
-        progress, robot = np.zeros(2, dtype=np.int64), packed_footprint(self.footprint)
-        packed, most = self._packed(*limits), max(1, _AT_ONCE // (robot.corners * len(robot.sizes) + 4))
+        progress, packed = np.zeros(3, dtype=np.int64), self._packed(*limits)
         while progress[0] < sizes[0]:
             self.poll()
-            slots, values, missing = self.field.memory
-            memory = (slots, slots.size), (values, values.size), (missing, missing.size)
-            kernel((*sizes, most), numbers, (*arrays, (progress, 2), *packed, *memory, *self._room))
-            if progress[1]:
-                self.field.compute(missing[: progress[1]])
+            slots, values, *progress[1:] = self.field.room_for_more()
+            memory = (slots, slots.size), (values, values.size)
+            kernel((*sizes, self._at_once), numbers, (*arrays, (progress, 3), *packed, *memory, *self._room))
+            self.field.count = int(progress[1])
 
     def _packed(self, margin: float, start_relief: float) -> KernelArrays:
         """Return the arrays from `sizes` to `high` of the kernels; see `SPACE_PARAMETERS` in C."""
@@ -172,20 +172,20 @@ class FreeSpace:
             rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.obstacles
             (m, k, _), bodies = rocks.vertices.shape, len(robot.sizes)
             tiles, discs = self.field.tiles, [level.cover.size for level in self.levels]
-            sizes = np.array((tiles, *discs, bodies, m, k, robot.corners, robot.circles))
+            sizes = np.array((tiles, *discs, bodies, m, k, *robot.sizes.ravel().tolist()))
             least = rule.least_leaving(self._start_clearance, start_relief)
             at_start = np.nan if rule.at_start is None else rule.at_start
-            numbers = np.array(
+            rules = np.array(
                 (
-                    *(self.field.spacing, *self.field.origin),
+                    *(self.field.spacing, *self.field.origin, self.field.reach),
                     *(rule.required, rule.at_dock, rule.taper, rule.dock_run),
                     *(least, START_RELIEF_SLOPE, start_relief, at_start, *self._start, *self._goal),
                     *(margin, max(self._start_clearance, 0.0), max(self._goal_clearance, 0.0), _MARGIN_SLOPE),
                     *(TOLERANCE, self.footprint.circumscribed_radius),
                 )
             )
-            circles = np.concatenate([np.ravel((*one.centres.T, *one[1:])) for one in self.levels])
-            parts = sizes, numbers, circles, robot.sizes, robot.numbers
+            circles = [np.ravel((*one.centres.T, *one[1:])) for one in self.levels]
+            parts = sizes, np.concatenate((rules, *circles, robot.numbers)), self.field.is_box
             outlines = rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper
             self._kernel_arrays[key] = tuple((part, part.size) for part in (*parts, *outlines))
         return self._kernel_arrays[key]
@@ -214,10 +214,11 @@ def _are_free(space: FreeSpace, poses: FloatArray, margin: float, start_relief: 
     required = space.required(poses, margin, start_relief) - TOLERANCE
     free = np.zeros(len(poses), dtype=np.bool_)
     open_rows = np.arange(len(poses))
-    for discs in space.levels:
+    for level, discs in enumerate(space.levels):
         states = disc_states(space.field, discs, poses[open_rows], required[open_rows])
         free[open_rows[states.covered]] = True
-        open_rows = open_rows[~(states.covered | states.blocked | states.outside)]
+        is_decided = states.covered | states.blocked
+        open_rows = open_rows[~(is_decided if level else is_decided | states.outside)]
         if open_rows.size == 0:
             return free
     for k in range(0, open_rows.size, _EXACT_BLOCK):

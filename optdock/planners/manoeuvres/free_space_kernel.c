@@ -1,15 +1,23 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
- * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_free_lengths`, `are_free`,
+ * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_extensions`, `are_free`,
  * `first_free` and `may_be_free` of `arcs.py`.
  *
- * The signed distance of convex polygons is the largest gap over the edge normals of both and the direction between the
- * nearest vertices, as in `geometry/separation.py`. Only guesses depend on this file; the certificate has code of its
+ * Tiles of the field are computed when a pose first needs them. The signed distance of convex polygons is the largest
+ * gap over the edge normals of both and the direction between the nearest vertices, as in `geometry/separation.py`. Only
+ * guesses depend on this file; the certificate has code of its
  * own. */
 
 #include <math.h>
 #include <stdint.h>
 
 #define TILE 32 /* grid points along the side of a tile */
+#define FEW 16  /* obstacles up to which exact distances take less time than the fine discs, with the same result */
+
+/* Of `distance_field_kernel.c`. */
+int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, double spacing, double reach,
+                            const int64_t *which, const double *origin, const int64_t *is_box, const double *low,
+                            const double *high, const double *vertices, const double *normals, const double *offsets,
+                            double *values);
 
 /* A polygon in the world: corners and outward normals (count, 2), offsets (count,). */
 typedef struct {
@@ -69,16 +77,19 @@ static double gap_of_vertices(int64_t count, const double *points, int64_t other
     return lowest_along(x, y, count, points) - high;
 }
 
-/* Signed distance of a body, whose corners in the world are given, (count, 2). local: work, corners of the piece. */
-static double signed_distance(Polygon body, Pose at, const double *corners, Polygon piece, double *local)
+/* Whether the signed distance of a body, whose corners in the world are given, (count, 2), is at least the required one.
+ * local: work, corners of the piece. */
+static int is_apart(Polygon body, Pose at, const double *corners, Polygon piece, double required, double *local)
 {
+    if (gap_along_normals(piece, body.count, corners) >= required)
+        return 1;
     for (int64_t k = 0; k < piece.count; k++) { /* the corners of the piece in the frame of the body */
         double x = piece.corners[2 * k] - at.x, y = piece.corners[2 * k + 1] - at.y;
         local[2 * k] = at.c * x + at.s * y;
         local[2 * k + 1] = at.c * y - at.s * x;
     }
-    double best = larger(gap_along_normals(piece, body.count, corners), gap_along_normals(body, piece.count, local));
-    return larger(best, gap_of_vertices(body.count, corners, piece.count, piece.corners));
+    return gap_along_normals(body, piece.count, local) >= required ||
+           gap_of_vertices(body.count, corners, piece.count, piece.corners) >= required;
 }
 
 /* Lower bound of the distance of a body, if it is positive, from its circles, (circles, 2) in the world. */
@@ -103,69 +114,25 @@ static void place(Pose at, int64_t count, const double *points, double *placed)
     }
 }
 
-/* The grid: number of tiles along a side, spacing and first point [m], index of the values of every tile. */
-typedef struct {
-    int64_t tiles;
-    double spacing, x, y;
-    int64_t *slots;       /* (tiles, tiles); -1: not computed yet, -2: in the list of missing tiles */
-    const double *values; /* (computed tiles, TILE, TILE) [m] */
-} Field;
-
 /* Bounds of the distance of a point [m]; the lower bound is -inf outside the field. */
 typedef struct {
     double lower, upper;
 } Bounds;
 
-/* A cell of the grid; NaN becomes 0. */
-static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
-
-/* Return 0 if the tile of the point is missing, and append it to the list unless it is there already. */
-static int bounds_at(const Field *field, double px, double py, int64_t *missing, int64_t *count, Bounds *bounds)
-{
-    double last = (double)(TILE * field->tiles - 1);
-    double u = (px - field->x) / field->spacing, v = (py - field->y) / field->spacing;
-    double column = rint(u), row = rint(v);
-    int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
-    int64_t i = (int64_t)clamped(column, last), j = (int64_t)clamped(row, last);
-    int64_t tile = i / TILE * field->tiles + j / TILE, slot = field->slots[tile];
-    if (slot < 0) {
-        if (slot == -1)
-            missing[(*count)++] = tile;
-        field->slots[tile] = -2;
-        return 0;
-    }
-    double distance = field->values[TILE * TILE * slot + TILE * (i % TILE) + j % TILE];
-    double du = u - column, dv = v - row, away = field->spacing * sqrt(du * du + dv * dv);
-    *bounds = (Bounds){is_inside ? distance - away : -INFINITY, distance + away};
-    return 1;
-}
-
-/* State of a pose: 1 if the discs prove the clearance, 2 if they exclude it, 4 if one is outside the field, added; not
- * valid if tiles are missing. */
-static int disc_state(const Field *field, Pose at, double required, int64_t discs, const double *circles,
-                      int64_t *missing, int64_t *count)
-{
-    double lowest = INFINITY, highest = INFINITY;
-    for (int64_t d = 0; d < discs; d++) {
-        double cx = circles[d], cy = circles[discs + d];
-        Bounds bounds;
-        if (!bounds_at(field, at.x + at.c * cx - at.s * cy, at.y + at.s * cx + at.c * cy, missing, count, &bounds))
-            continue;
-        lowest = smaller(lowest, bounds.lower - circles[2 * discs + d]);
-        highest = smaller(highest, bounds.upper - circles[3 * discs + d]);
-    }
-    return (lowest >= required) + 2 * (highest < required) + 4 * (lowest == -INFINITY);
-}
-
 /* The free space. */
 typedef struct {
-    Field field;
-    int64_t *missing, missing_count;
-    int64_t discs[2];         /* numbers of coarse and of fine discs */
+    int64_t tiles;           /* of the field, along a side */
+    const double *numbers;   /* spacing, first point and reach of the field [m] */
+    int64_t *slots;          /* (tiles, tiles), index of the values of every tile; -1: not computed yet */
+    double *values;          /* (tiles for which there is room, TILE, TILE) [m] */
+    int64_t computed, limit; /* tiles that have values, and with which the call ends */
+    int64_t checked;         /* poses checked in this call */
+    int64_t discs[2];        /* numbers of coarse and of fine discs */
     const double *circles[2]; /* (4, discs) each: x, y, radius that covers, radius inside [m] */
     int64_t bodies, m, k;     /* bodies, obstacles, corners of an obstacle */
     const int64_t *body_sizes; /* (bodies, 2), corners and circles */
     const double *body_numbers; /* radius, reach, vertices, normals, offsets and centres of each */
+    const int64_t *is_box; /* (m,), 1 for axis-aligned rectangles, otherwise 0 */
     const double *vertices, *normals, *offsets, *low, *high;
     int64_t *near, near_count; /* rows of the obstacles near the poses in the box; -1: not collected yet */
     double box[4];             /* least x and y, largest x and y of the poses */
@@ -175,25 +142,76 @@ typedef struct {
 
 /* Arguments of all checks of poses:
  *
- *   sizes     (8,): tiles, coarse discs, fine discs, bodies, obstacles, corners of an obstacle, and the largest numbers
- *             of corners and of circles of a body
- *   numbers   (21,): spacing and first point of the field [m], then see `required_at`
- *   circles   (4 coarse discs + 4 fine discs,)
- *   body_sizes, body_numbers, vertices ... high, slots, values: see `Space` and `Field`
- *   missing   out, (tiles tiles,): tiles that must be computed first
+ *   progress  in and out, (3,): items done; tiles that have values, and the number of them with which the call ends
+ *   sizes     (6 + 2 bodies,): tiles, coarse discs, fine discs, bodies, obstacles, corners of an obstacle; `body_sizes`
+ *   numbers   spacing, first point and reach of the field [m], 18 numbers of `required_at`, `circles`, `body_numbers`
+ *   is_box, vertices ... high, slots, values: see `Space`
  *   near      work, (obstacles,); work: 2 (corners + corners of an obstacle + circles) numbers */
 #define SPACE_PARAMETERS                                                                                               \
-    const int64_t *sizes, const double *numbers, const double *circles, const int64_t *body_sizes,                     \
-        const double *body_numbers, const double *vertices, const double *normals, const double *offsets,              \
-        const double *low, const double *high, int64_t *slots, const double *values, int64_t *missing, int64_t *near,  \
-        double *work
+    int64_t *progress, const int64_t *sizes, const double *numbers, const int64_t *is_box, const double *vertices,     \
+        const double *normals, const double *offsets, const double *low, const double *high, int64_t *slots,           \
+        double *values, int64_t *near, double *work
 #define SPACE                                                                                                          \
     (Space)                                                                                                            \
     {                                                                                                                  \
-        {sizes[0], numbers[0], numbers[1], numbers[2], slots, values}, missing, 0, {sizes[1], sizes[2]},               \
-            {circles, circles + 4 * sizes[1]}, sizes[3], sizes[4], sizes[5], body_sizes, body_numbers, vertices,       \
-            normals, offsets, low, high, near, -1, {0.0, 0.0, 0.0, 0.0}, numbers + 3, work                                                    \
+        sizes[0], numbers, slots, values, progress[1], progress[2], 0, {sizes[1], sizes[2]},                           \
+            {numbers + 22, numbers + 22 + 4 * sizes[1]}, sizes[3], sizes[4], sizes[5], sizes + 6,                      \
+            numbers + 22 + 4 * (sizes[1] + sizes[2]), is_box, vertices, normals, offsets, low, high, near, -1,         \
+            {0.0, 0.0, 0.0, 0.0}, numbers + 4, work                                                                    \
     }
+
+/* A cell of the grid; NaN becomes 0. */
+static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
+
+/* Whether a tile has values, which are computed if the limit of tiles is not reached. */
+static int has_values(Space *space, int64_t tile)
+{
+    const double *numbers = space->numbers;
+    if (space->slots[tile] >= 0)
+        return 1;
+    if (space->computed == space->limit)
+        return 0;
+    optdock_tile_values(1, space->tiles, space->m, space->k, numbers[0], numbers[3], &tile, numbers + 1, space->is_box,
+                        space->low, space->high, space->vertices, space->normals, space->offsets,
+                        space->values + TILE * TILE * space->computed);
+    space->slots[tile] = space->computed++;
+    return 1;
+}
+
+/* Set the bounds of the distance of a point. Return 0 if the tile of the point has no values. */
+static int bounds_at(Space *space, double px, double py, Bounds *bounds)
+{
+    double spacing = space->numbers[0], last = (double)(TILE * space->tiles - 1);
+    double u = (px - space->numbers[1]) / spacing, v = (py - space->numbers[2]) / spacing;
+    double column = rint(u), row = rint(v);
+    int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
+    int64_t i = (int64_t)clamped(column, last), j = (int64_t)clamped(row, last);
+    int64_t tile = i / TILE * space->tiles + j / TILE;
+    if (!has_values(space, tile))
+        return 0;
+    double distance = space->values[TILE * TILE * space->slots[tile] + TILE * (i % TILE) + j % TILE];
+    double du = u - column, dv = v - row, away = spacing * sqrt(du * du + dv * dv);
+    *bounds = (Bounds){is_inside ? distance - away : -INFINITY, distance + away};
+    return 1;
+}
+
+/* State of a pose: 1 if the discs of a level prove the clearance, 2 if they exclude it, 4 if one is outside the field,
+ * added; or -1 if a tile has no values. */
+static int disc_state(Space *space, Pose at, double required, int level)
+{
+    int64_t discs = space->discs[level];
+    const double *circles = space->circles[level];
+    double lowest = INFINITY, highest = INFINITY;
+    for (int64_t d = 0; d < discs; d++) {
+        double cx = circles[d], cy = circles[discs + d];
+        Bounds bounds;
+        if (!bounds_at(space, at.x + at.c * cx - at.s * cy, at.y + at.s * cx + at.c * cy, &bounds))
+            return -1;
+        lowest = smaller(lowest, bounds.lower - circles[2 * discs + d]);
+        highest = smaller(highest, bounds.upper - circles[3 * discs + d]);
+    }
+    return (lowest >= required) + 2 * (highest < required) + 4 * (lowest == -INFINITY);
+}
 
 /* Distance [m] from an end of the taper. */
 static double tapered(const double *rule, double distance, double least)
@@ -262,7 +280,7 @@ static int is_clear(Space *space, Pose at, double required)
             if (apart >= required && apart > 0.0)
                 continue;
             Polygon piece = {space->k, space->vertices + 2 * first, space->normals + 2 * first, space->offsets + first};
-            if (signed_distance(outline, at, corners, piece, local) < required)
+            if (!is_apart(outline, at, corners, piece, required, local))
                 return 0;
         }
         numbers += 2 + 5 * v + 2 * circles;
@@ -270,33 +288,31 @@ static int is_clear(Space *space, Pose at, double required)
     return 1;
 }
 
-/* Whether a pose is free: 1 or 0, or -1 if tiles are missing. */
+/* Whether a pose is free: 1 or 0, or -1 if a tile has no values; it counts as checked. */
 static int is_free(Space *space, double x, double y, double yaw)
 {
     Pose at = {x, y, cos(yaw), sin(yaw)};
+    if (space->m == 0)
+        return 1;
     double required = required_at(space->rule, x, y);
-    for (int level = 0; level < 2; level++) {
-        int64_t before = space->missing_count;
-        int state = disc_state(&space->field, at, required, space->discs[level], space->circles[level], space->missing,
-                               &space->missing_count);
-        if (space->missing_count > before)
+    space->checked++;
+    for (int level = 0; level < (space->m > FEW ? 2 : 1); level++) {
+        int state = disc_state(space, at, required, level);
+        if (state < 0)
             return -1;
-        if (state & 1)
-            return 1;
-        if (state)
-            return 0;
+        if (state & 3 || (state && level == 0))
+            return state & 1;
     }
     return is_clear(space, at, required);
 }
 
-/* Whether no coarse disc inside the footprint overlaps an obstacle: 1 or 0, or -1 if tiles are missing. */
+/* Whether no coarse disc inside the footprint overlaps an obstacle: 1 or 0, or -1 if a tile has no values. */
 static int may_be_free(Space *space, double x, double y, double yaw)
 {
     Pose at = {x, y, cos(yaw), sin(yaw)};
-    int64_t before = space->missing_count;
-    int state = disc_state(&space->field, at, 0.0, space->discs[0], space->circles[0], space->missing,
-                           &space->missing_count);
-    return space->missing_count > before ? -1 : !(state & 2);
+    int state = disc_state(space, at, 0.0, 0);
+    space->checked++;
+    return state < 0 ? -1 : !(state & 2);
 }
 
 /* The pose at the end of an arc, as `advance` of `arcs.py`. */
@@ -311,11 +327,11 @@ static void advance(const double *from, double length, double curvature, double 
     to[2] = from[2] + turn;
 }
 
-/* Note where a check has stopped: the number of items done, and of the tiles that must be computed first. */
+/* Note where a check has stopped: the numbers of items done, and of tiles that have values. */
 static int64_t stopped(const Space *space, int64_t done, int64_t *progress)
 {
     progress[0] = done;
-    progress[1] = space->missing_count;
+    progress[1] = space->computed;
     return 0;
 }
 
@@ -329,10 +345,8 @@ static int is_free_after(Space *space, const double *from, double length, double
 /* Whether poses are free, those from `done` on.
  *
  *   n, most   number of poses; most of them that are checked in this call
- *   poses     (n, 3); free: out, (n,), 1 or 0
- *   progress  in and out, (2,): poses done, missing tiles */
-int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *free, int64_t *progress,
-                         SPACE_PARAMETERS)
+ *   poses     (n, 3); free: out, (n,), 1 or 0 */
+int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *free, SPACE_PARAMETERS)
 {
     Space space = SPACE;
     double x0 = INFINITY, y0 = INFINITY, x1 = -INFINITY, y1 = -INFINITY;
@@ -344,7 +358,7 @@ int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *
         y1 = larger(y1, poses[3 * i + 1]);
     }
     set_box(&space, x0, y0, x1, y1);
-    for (i = progress[0]; i < end && space.missing_count == 0; i++) {
+    for (i = progress[0]; i < end; i++) {
         int found = is_free(&space, poses[3 * i], poses[3 * i + 1], poses[3 * i + 2]);
         if (found < 0)
             break;
@@ -353,58 +367,89 @@ int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *
     return stopped(&space, i, progress);
 }
 
-/* Collision-free lengths of arcs, those from `done` on; see `_free_lengths` of `arcs.py`.
+/* Collision-free length of an arc up to `longest`, from poses `spacing` apart; -1 if a tile has no values. `bend`: sign of
+ * the length, and curvature [1/m]. */
+static double free_length(Space *space, const double *from, const double *bend, double longest, double spacing,
+                          int64_t bisections)
+{
+    double free = 0.0, blocked = 0.0, count = larger(ceil((longest - 1e-9 - spacing) / spacing), 0.0);
+    int found = 1;
+    set_box(space, from[0] - longest, from[1] - longest, from[0] + longest, from[1] + longest);
+    for (double j = 0.0; j <= count && found == 1; j += 1.0) {
+        double length = j < count ? spacing + j * spacing : longest;
+        found = is_free_after(space, from, bend[0] * length, bend[1]);
+        if (found == 1)
+            free = length;
+        else
+            blocked = length;
+    }
+    for (int64_t j = 0; j < bisections && found == 0; j++) {
+        double middle = 0.5 * (free + blocked);
+        int at_middle = is_free_after(space, from, bend[0] * middle, bend[1]);
+        if (at_middle < 0)
+            found = -1;
+        else if (at_middle)
+            free = middle;
+        else
+            blocked = middle;
+    }
+    return found < 0 ? -1.0 : free;
+}
+
+/* Ends of free arcs from nodes of a tree, by all moves from each node; see `_extensions` of `arcs.py`.
  *
- *   n, count, bisections, most   numbers of arcs, of steps, of bisections, and of poses after which the call ends
- *   starts          (n, 3); signs, curvatures: (n,); steps: (count,), ascending lengths [m]
- *   lengths         out, (n,) [m]
- *   progress        in and out, (2,): arcs done, missing tiles */
-int64_t optdock_free_lengths(int64_t n, int64_t count, int64_t bisections, int64_t most, const double *starts,
-                             const double *signs, const double *curvatures, const double *steps, double *lengths,
-                             int64_t *progress, SPACE_PARAMETERS)
+ *   n, moves        numbers of arcs, and of moves from each node
+ *   places, bisections, most  numbers of stations, of bisections, and of poses after which the call ends
+ *   spacing         of the poses [m]
+ *   gear            1, or -1 if the tree is built backwards in time
+ *   speed, reverse_speed, reverse_price, stop  [m/s, m/s, s/m, s], prices of motion and of a change of gear
+ *   rows            (n / moves,), rows of the tree
+ *   nodes           (nodes, 7), of the tree: pose, price, sign and length of the last arc, curvature
+ *   bends           (moves, 2), signs of the lengths and curvatures
+ *   stations        (places,), ascending lengths [m]
+ *   found           in and out, (1,), number of ends
+ *   parents, ends   out, (n (places + 1),), rows of the tree; (n (places + 1), 7), as `nodes` */
+int64_t optdock_extensions(int64_t n, int64_t moves, int64_t places, int64_t bisections, int64_t most, double spacing,
+                           double gear, double speed, double reverse_speed, double reverse_price, double stop,
+                           const int64_t *rows, const double *nodes, const double *bends, const double *stations,
+                           int64_t *found, int64_t *parents, double *ends, SPACE_PARAMETERS)
 {
     Space space = SPACE;
-    int64_t i, checked = 0;
-    double longest = steps[count - 1];
-    for (i = progress[0]; i < n && checked < most; i++) {
-        const double *from = starts + 3 * i;
-        double free = 0.0, blocked = 0.0;
-        int found = 1;
-        set_box(&space, from[0] - longest, from[1] - longest, from[0] + longest, from[1] + longest);
-        for (int64_t j = 0; j < count && found == 1; j++, checked++) {
-            found = is_free_after(&space, from, signs[i] * steps[j], curvatures[i]);
-            if (found == 1)
-                free = steps[j];
-            else
-                blocked = steps[j];
-        }
-        for (int64_t j = 0; j < bisections && found == 0; j++, checked++) {
-            double middle = 0.5 * (free + blocked);
-            int at_middle = is_free_after(&space, from, signs[i] * middle, curvatures[i]);
-            if (at_middle < 0)
-                found = -1;
-            else if (at_middle)
-                free = middle;
-            else
-                blocked = middle;
-        }
-        if (found < 0)
+    int64_t i;
+    for (i = progress[0]; i < n && space.checked < most; i++) {
+        const double *node = nodes + 7 * rows[i / moves], *bend = bends + 2 * (i % moves);
+        double free = free_length(&space, node, bend, stations[places - 1], spacing, bisections), reached = 0.0;
+        if (free < 0.0)
             break;
-        lengths[i] = free;
+        for (int64_t k = 0; k <= places; k++) {
+            /* The end of the free length between two stations is also a station. */
+            double length = k < places ? stations[k] : reached < free - 0.1 * spacing ? free : 0.0;
+            if (!(length > 0.0 && length <= free + 1e-12))
+                continue;
+            reached = length;
+            double driven = bend[0] * length, forward = gear * driven, *end = ends + 7 * found[0];
+            double time = forward > 0.0 ? forward / speed : -forward / reverse_speed;
+            advance(node, driven, bend[1], end);
+            end[3] = node[3] + (time + reverse_price * larger(-forward, 0.0)) + stop * (node[4] * bend[0] < 0.0);
+            end[4] = bend[0];
+            end[5] = driven;
+            end[6] = bend[1];
+            parents[found[0]++] = rows[i / moves];
+        }
     }
     return stopped(&space, i, progress);
 }
 
-/* Whether a sequence of arcs is free at poses at most `spacing` apart and at all joints: 1 or 0, or -1 if tiles are
- * missing; adds to the poses `checked`. */
+/* Whether a sequence of arcs is free at poses at most `spacing` apart and at all joints: 1 or 0, or -1 if a tile has no
+ * values. */
 static int is_free_along(Space *space, const double *start, int64_t count, const double *lengths,
-                         const double *curvatures, double spacing, int64_t *checked)
+                         const double *curvatures, double spacing)
 {
     double joint[3] = {start[0], start[1], start[2]};
     int found = 1;
     for (int64_t j = 0; j < count && found == 1; j++) {
         double length = fabs(lengths[j]), parts = length > 1e-9 ? ceil(length / spacing - 1e-9) : 0.0;
-        for (double rank = 0.0; rank < parts && found == 1; rank += 1.0, (*checked)++)
+        for (double rank = 0.0; rank < parts && found == 1; rank += 1.0)
             found = is_free_after(space, joint, lengths[j] * rank / parts, curvatures[j]);
         advance(joint, lengths[j], curvatures[j], joint);
     }
@@ -414,14 +459,14 @@ static int is_free_along(Space *space, const double *start, int64_t count, const
 /* Whether a sequence of arcs is free at shares of its length, ascending, or may be free in the rough check; otherwise as
  * `is_free_along`. */
 static int passes_at_shares(Space *space, int is_rough, const double *start, int64_t count, const double *lengths,
-                            const double *curvatures, int64_t places, const double *shares, int64_t *checked)
+                            const double *curvatures, int64_t places, const double *shares)
 {
     double pose[3], joint[3] = {start[0], start[1], start[2]}, whole = 0.0, before = 0.0;
     int found = 1;
     int64_t j = 0;
     for (int64_t k = 0; k < count; k++)
         whole += fabs(lengths[k]);
-    for (int64_t k = 0; k < places && found == 1; k++, (*checked)++) {
+    for (int64_t k = 0; k < places && found == 1; k++) {
         double s = whole * shares[k];
         for (; j < count - 1 && s > before + fabs(lengths[j]); j++) {
             before += fabs(lengths[j]);
@@ -446,18 +491,16 @@ static void set_box_around(Space *space, const double *start, int64_t count, con
  *
  *   n, count, most  numbers of sequences and of arcs of each, and of poses after which the call ends
  *   spacing         [m]
- *   starts          (n, 3); lengths, curvatures: (n, count); free: out, (n,), 1 or 0
- *   progress        in and out, (2,): sequences done, missing tiles */
+ *   starts          (n, 3); lengths, curvatures: (n, count); free: out, (n,), 1 or 0 */
 int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double spacing, const double *starts,
-                               const double *lengths, const double *curvatures, int64_t *free, int64_t *progress,
-                               SPACE_PARAMETERS)
+                               const double *lengths, const double *curvatures, int64_t *free, SPACE_PARAMETERS)
 {
     Space space = SPACE;
-    int64_t i, checked = 0;
-    for (i = progress[0]; i < n && checked < most; i++) {
+    int64_t i;
+    for (i = progress[0]; i < n && space.checked < most; i++) {
         const double *start = starts + 3 * i;
         set_box_around(&space, start, count, lengths + count * i);
-        int found = is_free_along(&space, start, count, lengths + count * i, curvatures + count * i, spacing, &checked);
+        int found = is_free_along(&space, start, count, lengths + count * i, curvatures + count * i, spacing);
         if (found < 0)
             break;
         free[i] = found;
@@ -471,20 +514,19 @@ int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double sp
  *   n, count, places, most  numbers of sequences, of arcs of each, of shares, and of poses after which the call ends
  *   spacing                 [m]
  *   starts                  (n, 3); lengths, curvatures: (n, count); shares: (places,), ascending
- *   first                   out, (1,), the row of the sequence if one is found, which ends the check
- *   progress                in and out, (2,): sequences done, missing tiles */
+ *   first                   out, (1,), the row of the sequence if one is found, which ends the check */
 int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t most, double spacing, const double *starts,
                            const double *lengths, const double *curvatures, const double *shares, int64_t *first,
-                           int64_t *progress, SPACE_PARAMETERS)
+                           SPACE_PARAMETERS)
 {
     Space space = SPACE;
-    int64_t i, checked = 0;
-    for (i = progress[0]; i < n && checked < most; i++) {
+    int64_t i;
+    for (i = progress[0]; i < n && space.checked < most; i++) {
         const double *start = starts + 3 * i, *along = lengths + count * i, *bends = curvatures + count * i;
         set_box_around(&space, start, count, along);
-        int found = passes_at_shares(&space, 0, start, count, along, bends, places, shares, &checked);
+        int found = passes_at_shares(&space, 0, start, count, along, bends, places, shares);
         if (found == 1)
-            found = is_free_along(&space, start, count, along, bends, spacing, &checked);
+            found = is_free_along(&space, start, count, along, bends, spacing);
         if (found < 0)
             break;
         if (found) {
@@ -499,17 +541,16 @@ int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t mos
  * from `done` on.
  *
  *   n, count, places, most  as for `optdock_first_free`; starts to shares too
- *   may                     out, (n,), 1 or 0
- *   progress                in and out, (2,): sequences done, missing tiles */
+ *   may                     out, (n,), 1 or 0 */
 int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t most, const double *starts,
                             const double *lengths, const double *curvatures, const double *shares, int64_t *may,
-                            int64_t *progress, SPACE_PARAMETERS)
+                            SPACE_PARAMETERS)
 {
     Space space = SPACE;
-    int64_t i, checked = 0;
-    for (i = progress[0]; i < n && checked < most; i++) {
+    int64_t i;
+    for (i = progress[0]; i < n && space.checked < most; i++) {
         int found = passes_at_shares(&space, 1, starts + 3 * i, count, lengths + count * i,
-                                     curvatures + count * i, places, shares, &checked);
+                                     curvatures + count * i, places, shares);
         if (found < 0)
             break;
         may[i] = found;

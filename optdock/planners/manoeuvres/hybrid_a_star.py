@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.planners.manoeuvres.arcs import Moves
+from optdock.planners.manoeuvres.arcs import moves_of
 from optdock.planners.manoeuvres.connections import Connections, TreeNodes, connections, free_manoeuvres, promising
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     speed = max(limits.max_speed, limits.max_reverse_speed)
     grid = PoseGrid(space, effort.fineness)
     grid.enter(tree.poses)
-    moves = Moves.of((1.0, -1.0), (0.0, *(bend / radius for bend in bends)))
+    moves = moves_of((1.0, -1.0), (0.0, *(bend / radius for bend in bends)))
     opened: list[tuple[float, int]] = []
     shots: list[Connections] = []
     fresh, nodes = growing.rows, 0

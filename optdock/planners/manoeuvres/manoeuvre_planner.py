@@ -242,6 +242,10 @@ class Stages:
         return self.trees.straight_runs(self._efforts[-1])
 
     @functools.cached_property
+    def _ends_cost(self) -> float:
+        return ends_cost(self.problem)
+
+    @functools.cached_property
     def _cheapest_word(self) -> float:
         """The least price [s] of a word to the final straight, without regard to obstacles."""
         straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
@@ -284,7 +288,9 @@ class Stages:
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
         ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
-        ways_in = free_manoeuvres(found, start, staging.tree, self.space, effort, self._better_than)
+        ways_in = free_manoeuvres(
+            found, start, staging.tree, self.space, effort, self._better_than, per_change=_SLOW_STOP
+        )
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
@@ -295,7 +301,7 @@ class Stages:
         if best <= _DEAR * self._cheapest_word:
             return False
         limits, goal = self.problem.robot.limits, self.problem.goal.as_array()[None, :2]
-        longest = (best / _DEAR - ends_cost(self.problem)) * max(limits.max_speed, limits.max_reverse_speed)
+        longest = (best / _DEAR - self._ends_cost) * max(limits.max_speed, limits.max_reverse_speed)
         # The search needs the route of the wider disc; it is the longer one.
         return bool(
             self._wave_for_routes.lengths(goal)[0] < longest or self._wave_from_start.lengths(goal)[0] < longest
@@ -388,7 +394,6 @@ class Stages:
         """Yield the first few paths that differ from all earlier paths and may be cheaper than the best plan."""
         offered = 0
         for arcs in found:
-            self._poll()
             if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
@@ -408,7 +413,7 @@ class Stages:
 
     def _worthwhile(self) -> float:
         """Return the estimated price at or above which a manoeuvre cannot be cheaper than the best plan."""
-        return self._better_than() - ends_cost(self.problem)
+        return self._better_than() - self._ends_cost
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a manoeuvre differs from all manoeuvres yielded before by more than half the width of the robot."""

@@ -9,6 +9,7 @@ vertices of the roadmap are random).
 from __future__ import annotations
 
 import heapq
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -118,45 +119,45 @@ class _LazySearch:
     def ways(self) -> Iterator[tuple[float, Arcs]]:
         """Yield complete paths of free words with their prices as they are found."""
         self._space.poll()
-        labels: dict[int, _Label] = {}
+        labels = [_Label(math.inf, 0.0, -1)] * len(self._poses)
         opened: list[tuple[float, float, int]] = []
         for vertex, row in enumerate(self._out.tolist()):
             labels[vertex] = _Label(float(self._exits.prices[row]), float(self._exits.signs[row]), -1)
-            self._push(vertex, labels[vertex], opened)
+            self._push(vertex, labels, opened)
         checked, most = 0, _MOST_CHECKS
         while opened and checked < most:
             some = self._next(opened, labels)
             checked += len(some)
             for (price, edge), is_free in zip(some, self._are_free([edge for _, edge in some]), strict=True):
                 target = int(self._edges.targets[edge])
-                if not is_free or (target in labels and labels[target].price <= price):
+                if not is_free or labels[target].price <= price:
                     continue
                 labels[target] = _Label(price, float(self._edges.ends[edge]), edge)
                 if target < self._end:
-                    self._push(target, labels[target], opened)
+                    self._push(target, labels, opened)
                     continue
                 most = min(most, checked + _MORE_CHECKS)
                 row = int(self._into[target - self._end])
                 turns = labels[target].gear * -float(self._entries.signs[row]) < 0.0
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
-    def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
-        """Push all words that leave a vertex, with the price so far plus a bound for the remaining route."""
+    def _push(self, vertex: int, labels: list[_Label], opened: list[tuple[float, float, int]]) -> None:
+        """Push the words that leave a vertex for a better label, with the price so far plus a bound for the rest."""
         some = slice(self._of[vertex], self._of[vertex + 1])
-        changes = self._edges.begins[some] * label.gear < 0.0
-        prices = label.price + self._edges.prices[some] + self._stop * changes
-        left = (self._count - self._station[self._edges.targets[some]]) * self._spacing / self._speed
+        changes, targets = self._edges.begins[some] * labels[vertex].gear < 0.0, self._edges.targets[some]
+        prices = labels[vertex].price + self._edges.prices[some] + self._stop * changes
+        bounds = prices + (self._count - self._station[targets]) * self._spacing / self._speed
         edges = range(some.start, some.stop)
-        for bound, price, edge in zip((prices + left).tolist(), prices.tolist(), edges, strict=True):
-            heapq.heappush(opened, (bound, price, edge))
+        for bound, price, target, edge in zip(bounds.tolist(), prices.tolist(), targets.tolist(), edges, strict=True):
+            if price < labels[target].price:
+                heapq.heappush(opened, (bound, price, edge))
 
-    def _next(self, opened: list[tuple[float, float, int]], labels: dict[int, _Label]) -> list[tuple[float, int]]:
+    def _next(self, opened: list[tuple[float, float, int]], labels: list[_Label]) -> list[tuple[float, int]]:
         """Pop the next words to check, with the prices of the paths to their ends."""
         some: list[tuple[float, int]] = []
         while opened and len(some) < _BATCH:
             _, price, edge = heapq.heappop(opened)
-            target = int(self._edges.targets[edge])
-            if target not in labels or labels[target].price > price:
+            if price < labels[int(self._edges.targets[edge])].price:
                 some.append((price, edge))
         return some
 
@@ -171,7 +172,7 @@ class _LazySearch:
         ).tolist()
         return found
 
-    def _way(self, vertex: int, labels: dict[int, _Label]) -> Arcs:
+    def _way(self, vertex: int, labels: list[_Label]) -> Arcs:
         """Return the whole path that ends at an entry."""
         parts = [self._entries.way(int(self._into[vertex - self._end]))]
         while (edge := labels[vertex].edge) >= 0:

@@ -18,6 +18,7 @@ import checkers
 import optdock
 import smoothers
 from optdock.controllers.motion_table import motion_table
+from optdock.geometry import nurbs
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -305,6 +306,7 @@ SHARED = {
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
     "trusted_nodes": lambda: qp_step.trusted_nodes(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
+    "_clamped_knots": lambda: nurbs._clamped_knots(3, 2),
     "_block": lambda: basis_module._block(8, 16),
     "_constant_elements": lambda: qp_step._constant_elements(basis_for(((8, 2),)), 8.0, DEFAULT_SETTINGS.step),
     "motion_table": lambda: motion_table(on_a_curve()),

@@ -16,7 +16,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres import arcs, distance_field
-from optdock.planners.manoeuvres.arcs import Arcs, are_free
+from optdock.planners.manoeuvres.arcs import Arcs, ArcTree, are_free, moves_of
 from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
@@ -47,6 +47,7 @@ BODIES = {
     "drum": Footprint(np.column_stack((0.5 * np.cos(ANGLES), 0.4 * np.sin(ANGLES)))),
     "triangle": Footprint([[0.6, 0.0], [-0.1, 0.1], [-0.1, -0.1]]),
 }
+MOVES = moves_of((1.0, -1.0), (0.0, 1.25, -1.25))
 EFFORTS = [Effort(0.8, 0.0, 12, 100), Effort(0.8, 0.03, 24, 100), Effort(0.8, 0.0, 24, 100, 0.5)]
 
 
@@ -74,6 +75,7 @@ def test_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
             free.append(space.is_free(poses_around(seed)))
         slots = space.field._slots
         found.append((slots >= 0, space.field._values[slots[slots >= 0]]))
+    assert len(rocks(seed)) > 16  # with fewer obstacles the kernel needs no fine discs, and fewer tiles
     assert 0.01 < free[0].mean() < 0.99
     assert np.count_nonzero(found[0][0]) > 20
     for a, b in zip(*found, strict=True):
@@ -132,36 +134,41 @@ def words_from(seed, count=30):
 @pytest.mark.parametrize("effort", EFFORTS, ids=["strict", "margin", "relief"])
 @pytest.mark.parametrize("body", BODIES)
 def test_free_poses_arcs_and_sequences_of_both_lanes_are_equal(body, effort):
-    limits, words = (effort.margin, effort.start_relief), words_from(1)
-    starts = poses_around(9, 48), np.tile([1.0, -1.0], 24), np.repeat([0.0, 1.25, -1.25], 16)
+    limits, words, stations = (effort.margin, effort.start_relief), words_from(1), np.array([0.1, 0.25, 0.4])
     found = []
     for lane in LANES:
         space = space_among(rocks(1), body)
+        tree = ArcTree(np.zeros(3), space.problem.robot, -1)
+        signs = np.tile([1.0, 0.0, -1.0], 16)
+        nodes = np.column_stack((poses_around(9, 48), np.linspace(0.0, 2.0, 48), signs, np.zeros((48, 2))))
+        tree._set(np.full(48, -1), nodes)
         with using_kernels(lane):
-            poses, lengths = space.is_free(poses_around(1), *limits), arcs._free_lengths(starts, 0.4, space, effort)
-            found.append((poses, lengths, are_free(words, 0.05, space, limits)))
+            every = space.is_free(poses_around(1), *limits)
+            arc, ends = arcs._extensions(tree, np.arange(47, -1, -1), MOVES, stations, space, effort)
+            found.append((every, arc, ends, are_free(words, 0.05, space, limits)))
     assert not kernels._OfProcess.replaced  # a kernel that differs in its first call is replaced by its twin
     for twin, native in zip(*found, strict=True):
         assert twin.dtype == native.dtype
         assert np.array_equal(twin, native)
     assert 0.02 < found[0][0].mean() < 0.98
-    assert 0 < np.count_nonzero(found[0][1] == 0.4) < 48
-    assert np.any((found[0][1] > 0.0) & (found[0][1] < 0.4))
-    assert 0 < found[0][2].sum() < 30
+    lengths = np.abs(found[0][2][:, 5])
+    assert 0 < np.count_nonzero(lengths == 0.4) < 48 * len(MOVES)
+    assert np.any(~np.isin(lengths, stations))
+    assert 0 < found[0][3].sum() < 30
 
 
 def test_without_obstacles_everything_is_free():
-    starts = poses_around(0, 4), np.ones(4), np.zeros(4)
     space = space_among(ObstacleSet.empty(), "convex")
+    tree = ArcTree(np.zeros(3), space.problem.robot, 1)
     space.obstacles = ObstacleSet.empty()  # also without the station
     lengths, wholes = (
         both_lanes(run)
         for run in (
-            lambda: arcs._free_lengths(starts, 1.3, space, EFFORTS[0]),
+            lambda: arcs._extensions(tree, np.zeros(1, dtype=np.int64), MOVES, np.ones(1), space, EFFORTS[0])[1][:, 5],
             lambda: are_free(words_from(0), 0.02, space, (0.0, 0.0)),
         )
     )
-    assert all((found == 1.3).all() for found in lengths)
+    assert all(np.array_equal(found, MOVES[:, 0]) for found in lengths)
     assert all(found.all() for found in wholes)
 
 
