@@ -50,7 +50,8 @@ class DistanceField:
         cell = np.rint(scaled)
         kept = np.minimum(np.maximum(cell, 0.0), self.side - 1.0)
         distance = self.at(kept.astype(np.int64))
-        du, dv = np.moveaxis(scaled - cell, -1, 0)
+        apart = scaled - cell
+        du, dv = apart[..., 0], apart[..., 1]
         away = self.spacing * np.sqrt(du * du + dv * dv)
         return np.where((cell == kept).all(axis=-1), distance - away, -np.inf), distance + away
 

@@ -11,7 +11,6 @@
 #include <stdint.h>
 
 #define TILE 32 /* grid points along the side of a tile */
-#define FEW 16  /* obstacles up to which exact distances take less time than the fine discs, with the same result */
 
 /* Of `distance_field_kernel.c`. */
 int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, double spacing, double reach,
@@ -127,7 +126,7 @@ typedef struct {
     double *values;          /* (tiles for which there is room, TILE, TILE) [m] */
     int64_t computed, limit; /* tiles that have values, and with which the call ends */
     int64_t checked;         /* poses checked in this call */
-    int64_t discs[2];        /* numbers of coarse and of fine discs */
+    int64_t levels, discs[2]; /* of discs that are used: coarse, fine; numbers of discs of both */
     const double *circles[2]; /* (4, discs) each: x, y, radius that covers, radius inside [m] */
     int64_t bodies, m, k;     /* bodies, obstacles, corners of an obstacle */
     const int64_t *body_sizes; /* (bodies, 2), corners and circles */
@@ -143,7 +142,8 @@ typedef struct {
 /* Arguments of all checks of poses:
  *
  *   progress  in and out, (3,): items done; tiles that have values, and the number of them with which the call ends
- *   sizes     (6 + 2 bodies,): tiles, coarse discs, fine discs, bodies, obstacles, corners of an obstacle; `body_sizes`
+ *   sizes     (7 + 2 bodies,): tiles, levels, coarse discs, fine discs, bodies, obstacles, corners of an obstacle;
+ *             `body_sizes`
  *   numbers   spacing, first point and reach of the field [m], 18 numbers of `required_at`, `circles`, `body_numbers`
  *   is_box, vertices ... high, slots, values: see `Space`
  *   near      work, (obstacles,); work: 2 (corners + corners of an obstacle + circles) numbers */
@@ -154,9 +154,9 @@ typedef struct {
 #define SPACE                                                                                                          \
     (Space)                                                                                                            \
     {                                                                                                                  \
-        sizes[0], numbers, slots, values, progress[1], progress[2], 0, {sizes[1], sizes[2]},                           \
-            {numbers + 22, numbers + 22 + 4 * sizes[1]}, sizes[3], sizes[4], sizes[5], sizes + 6,                      \
-            numbers + 22 + 4 * (sizes[1] + sizes[2]), is_box, vertices, normals, offsets, low, high, near, -1,         \
+        sizes[0], numbers, slots, values, progress[1], progress[2], 0, sizes[1], {sizes[2], sizes[3]},                 \
+            {numbers + 22, numbers + 22 + 4 * sizes[2]}, sizes[4], sizes[5], sizes[6], sizes + 7,                      \
+            numbers + 22 + 4 * (sizes[2] + sizes[3]), is_box, vertices, normals, offsets, low, high, near, -1,         \
             {0.0, 0.0, 0.0, 0.0}, numbers + 4, work                                                                    \
     }
 
@@ -296,7 +296,7 @@ static int is_free(Space *space, double x, double y, double yaw)
         return 1;
     double required = required_at(space->rule, x, y);
     space->checked++;
-    for (int level = 0; level < (space->m > FEW ? 2 : 1); level++) {
+    for (int level = 0; level < space->levels; level++) {
         int state = disc_state(space, at, required, level);
         if (state < 0)
             return -1;

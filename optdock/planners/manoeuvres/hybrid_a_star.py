@@ -112,14 +112,14 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         shooters, aimed_at = (words.exits, words.entries) if from_start else (words.entries, words.exits)
         # Distance between the target and the source of the wavefront: a staging pose lies in front of the dock.
         beyond = aims.tree.prices[aimed_at] * speed if from_start else np.where(aimed_at == 0, 0.0, np.inf)
-        least = wavefront.lengths(tree.poses[shooters, :2]) - beyond
-        long_enough = words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
+        routes, cheapest = np.empty(len(tree)), np.full(len(tree), np.inf)
+        routes[fresh] = wavefront.lengths(tree.poses[fresh, :2])
+        long_enough = words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= routes[shooters] - beyond))
         worth = promising(long_enough, exits.tree, space)
         shots = [Connections.merged([*shots, worth])]
-        cheapest = np.full(len(tree), np.inf)
         np.minimum.at(cheapest, shooters, words.prices)
         space.poll()
-        left = np.maximum(cheapest[fresh] - tree.prices[fresh], wavefront.lengths(tree.poses[fresh, :2]) / speed)
+        left = np.maximum(cheapest[fresh] - tree.prices[fresh], routes[fresh] / speed)
         for bound, row in zip((tree.prices[fresh] + _GREED * left).tolist(), fresh.tolist(), strict=True):
             if from_start or row > 0:  # the entries already contain the motions into the dock in an allowed gear
                 heapq.heappush(opened, (bound, row))

@@ -75,7 +75,7 @@ def test_tiles_of_both_lanes_are_equal_to_the_last_bit(seed):
             free.append(space.is_free(poses_around(seed)))
         slots = space.field._slots
         found.append((slots >= 0, space.field._values[slots[slots >= 0]]))
-    assert len(rocks(seed)) > 16  # with fewer obstacles the kernel needs no fine discs, and fewer tiles
+    assert len(rocks(seed)) > 16  # with few obstacles the kernel needs no fine discs, and fewer tiles
     assert 0.01 < free[0].mean() < 0.99
     assert np.count_nonzero(found[0][0]) > 20
     for a, b in zip(*found, strict=True):
@@ -155,6 +155,16 @@ def test_free_poses_arcs_and_sequences_of_both_lanes_are_equal(body, effort):
     assert 0 < np.count_nonzero(lengths == 0.4) < 48 * len(MOVES)
     assert np.any(~np.isin(lengths, stations))
     assert 0 < found[0][3].sum() < 30
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_among_few_obstacles_the_kernel_needs_no_fine_discs(body):
+    few = ObstacleSet.from_rectangles(
+        np.array([[-0.9, 1.1], [0.3, -1.2]]), np.array([[0.9, 1.4], [1.8, -0.8]]), "boxes"
+    )
+    twin, native = both_lanes(lambda: space_among(few, body).is_free(poses_around(3), 0.03))
+    assert np.array_equal(twin, native)
+    assert 0.05 < twin.mean() < 0.95
 
 
 def test_without_obstacles_everything_is_free():
