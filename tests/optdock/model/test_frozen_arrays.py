@@ -44,7 +44,7 @@ from optdock.ui.edited_obstacle import EditedObstacle
 from optdock.verification import proximity
 from optdock.verification.clearance_kernel import packed_footprint
 from smoothers.scp import basis as basis_module
-from smoothers.scp import initial_guess, nlp, qp_step, term_rows
+from smoothers.scp import nlp, qp_step, term_rows
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import collision_scene, narrow_phase
 from smoothers.scp.settings import DEFAULT_SETTINGS
@@ -311,7 +311,6 @@ SHARED = {
     "_done": lambda: term_rows._done(basis_for(((8, 2),))),
     "_nodes_of_gears": lambda: nlp._nodes_of_gears(basis_for(((8, 2),))),
     "_even_shares": lambda: nlp._even_shares(13),
-    "_without_clearance": lambda: initial_guess._without_clearance(20),
     "node_shares": lambda: term_rows.node_shares(basis_for(((8, 2),))),
     "packed_footprint": lambda: packed_footprint(problem().robot.footprint),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
