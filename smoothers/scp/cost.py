@@ -83,8 +83,8 @@ class CostModel:
 
         Shape (num_knots, num_knots) each; elements that are not next to the diagonal are 0.
         """
-        (bend, jerk), turned = self.factors, self._turned()
-        return 2.0 * bend * self.basis.mass, 2.0 * jerk * self._stiffness(), 2.0 * (turned.T @ turned)
+        bend, jerk = self.factors
+        return 2.0 * bend * self.basis.mass, 2.0 * jerk * self._stiffness(), self._turning()
 
     def _stiffness(self) -> FloatArray:
         """Return the integrals over u of products of the slopes of hat functions, weighted by `easing`."""
@@ -95,14 +95,14 @@ class CostModel:
         slopes = np.sqrt(self.easing / spans)[:, None] * basis.span_slopes
         return product_of_columns(slopes, slopes)
 
-    def _turned(self) -> FloatArray:
-        """Return weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
+    def _turning(self) -> FloatArray:
+        """Return the Hessian of the weighted squared changes of steering at cusps. Shape (num_knots, num_knots)."""
         basis = self.basis
-        rows = np.zeros((basis.num_gears - 1, basis.num_knots))
-        cusps = np.arange(basis.num_gears - 1)
-        rows[cusps, basis.last_knots[:-1]] = 1.0
-        rows[cusps, basis.first_knots[1:]] = 1.0
-        return rows * math.sqrt(self.turning_at_cusps) / self.scales[0]
+        hessian = np.zeros((basis.num_knots, basis.num_knots))
+        weight = math.sqrt(self.turning_at_cusps) / self.scales[0]
+        for last, first in zip(basis.last_knots[:-1].tolist(), basis.first_knots[1:].tolist(), strict=True):
+            hessian[last : first + 1, last : first + 1] = 2.0 * (weight * weight)
+        return hessian
 
     def _lateral(self, rollout: Rollout) -> FloatArray:
         away = rollout.poses[:, :2] - self.reference.positions

@@ -46,7 +46,7 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
             basis.left,
             trusted,
             small_obstacles(scene).astype(np.int64),
-            [len(centres) for centres, _ in scene.body.discs],
+            scene.body.discs.counts,
         )
     )
     numbers = np.concatenate((_numbers(nlp), *_arrays(nlp)), axis=None)
@@ -69,11 +69,7 @@ def _numbers(nlp: NonlinearProgram) -> FloatArray:
 
 
 def _arrays(nlp: NonlinearProgram) -> list[FloatArray]:
-    discs = nlp.scene.body.discs
-    centres = np.zeros((len(discs), nlp.scene.settings.most_discs, 2))
-    for places, (found, _) in zip(centres, discs, strict=True):
-        places[: len(found)] = found
-    ends, outer, inner = nlp.ends, nlp.bounds, nlp.inner_bounds
+    ends, outer, inner, discs = nlp.ends, nlp.bounds, nlp.inner_bounds, nlp.scene.body.discs
     bounds = outer.lower, outer.upper, inner.lower, inner.upper
-    radii = np.array([radius for _, radius in discs])
-    return [ends.start, ends.signs, ends.target, *bounds, *nlp.cost.hessians, *nlp.cost.reference, radii, centres]
+    cost = *nlp.cost.hessians, *nlp.cost.reference
+    return [ends.start, ends.signs, ends.target, *bounds, *cost, discs.radii, discs.centres]

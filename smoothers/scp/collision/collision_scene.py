@@ -65,17 +65,18 @@ class Points(NamedTuple):
 
 
 class Discs(NamedTuple):
-    """Discs of equal radius: centres, Shape (d, 2) [m], and radius [m]."""
+    """The covering discs of every part."""
 
-    centres: FloatArray
-    radius: float
+    counts: IntArray  # Shape (parts,)
+    radii: FloatArray  # Shape (parts,) [m]
+    centres: FloatArray  # Shape (parts, most, 2) [m]; those beyond the number of a part are 0
 
 
 class Body(NamedTuple):
     """Convex parts of the footprint, padded to equal vertex counts: vertices, normals (parts, v, 2), boxes (parts, 2).
 
     `reach`: distance of every vertex from the origin (parts, v). `radius`: the largest of these distances. `width`:
-    thickness [m]. `discs`: see `covering_discs`, one element per part.
+    thickness [m].
     """
 
     vertices: FloatArray
@@ -85,7 +86,7 @@ class Body(NamedTuple):
     reach: FloatArray
     radius: float
     width: float
-    discs: tuple[Discs, ...]
+    discs: Discs
 
 
 # The part of the clearance rule that applies.
@@ -185,12 +186,15 @@ def body_of(footprint: Footprint, most_discs: int) -> Body:
     thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
     reach = np.hypot(vertices[..., 0], vertices[..., 1])
     lower, upper = vertices.min(axis=1), vertices.max(axis=1)
-    discs = tuple(frozen(covering_discs(part.vertices, most_discs)) for part in footprint.bodies)
+    discs = Discs(np.zeros(len(vertices), np.int64), np.zeros(len(vertices)), np.zeros((len(vertices), most_discs, 2)))
+    for i, part in enumerate(footprint.bodies):
+        centres, discs.radii[i] = covering_discs(part.vertices, most_discs)
+        discs.counts[i], discs.centres[i, : len(centres)] = len(centres), centres
     return frozen(Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness, discs))
 
 
-def covering_discs(vertices: FloatArray, most: int) -> Discs:
-    """Return at most `most` discs along the box of `vertices`, Shape (v, 2) [m]."""
+def covering_discs(vertices: FloatArray, most: int) -> tuple[FloatArray, float]:
+    """Return centres, Shape (d, 2), and radius [m] of at most `most` discs along the box of `vertices` (v, 2)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent, middle = high - low, 0.5 * (low + high)
     short, long = sorted(extent.tolist())
@@ -200,7 +204,7 @@ def covering_discs(vertices: FloatArray, most: int) -> Discs:
     centres = np.empty((count, 2))
     centres[:] = middle
     centres[:, extent.argmax()] += np.linspace(-half, half, count)
-    return Discs(centres, radius)
+    return centres, radius
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:

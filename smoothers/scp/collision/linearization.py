@@ -286,7 +286,8 @@ def covering_disc_rows(
 def _part_rows(
     scene: Scene, rollout: Rollout, basis: Basis, found: Clearance, chosen: IntArray, part: int
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    centres, radius = scene.body.discs[part]
+    discs = scene.body.discs
+    centres, radius = discs.centres[part, : discs.counts[part]], discs.radii[part]
     left = basis.left[found.pairs.interval[chosen]]
     both = np.concatenate((left, left + 1))
     count = len(scene.obstacles)
