@@ -23,7 +23,7 @@ from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.path import Path
 from optdock.planners.manoeuvres import connections, distance_field, manoeuvre_planner
 from optdock.planning.pipeline import plan_dock, warm_up
-from optdock.timing import interior_point, reference_program, ruckig_moves
+from optdock.timing import interior_point, path_limits, reference_program, ruckig_moves
 from optdock.verification import certify_path, clearance_kernel, clearance_rounds, stretch_bounds, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp import initial_guess, loop
@@ -55,6 +55,7 @@ _KERNELS = {
     "prices of paths": (manoeuvre_planner, "least_prices"),
     "tiles of the field": (distance_field, "_tile_values"),
     "crossings": (trajectory_rules, "crossings"),
+    "limits along a path": (path_limits, "_clothoid_chosen"),
     "interior point": (interior_point, "advanced"),
     "program of the time law": (reference_program, "prepared"),
     "excess of moves": (ruckig_moves, "_evaluate_chosen"),
