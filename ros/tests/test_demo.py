@@ -1,16 +1,13 @@
-"""`make ros-demo`: what it prints and writes, and how it ends."""
+"""`make ros-demo`: what it prints and writes."""
 
 from __future__ import annotations
 
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
-import yaml
 from demo_recorder import TOPICS
-from ros_demo import PACKAGE
 
 from optdock.ros.bag import open_bag
 
@@ -20,6 +17,7 @@ PNG = b"\x89PNG"
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
+    """Start the demo."""
     command = [sys.executable, str(DEMO), *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
@@ -36,24 +34,3 @@ def test_demo_docks_undocks_records_and_draws(tmp_path: Path) -> None:
         assert [topic for topic in TOPICS if bag.last(topic, 0.0, bag.end) is None] == []
     for name in ("plan.png", "drive.png"):
         assert (tmp_path / name).read_bytes().startswith(PNG)
-
-
-def test_demo_that_fails_shows_the_logs(tmp_path: Path) -> None:
-    values = yaml.safe_load((PACKAGE / "config" / "simulated_docking.yaml").read_text())
-    values["docking_server"]["ros__parameters"]["docks"] = []
-    (tmp_path / "no_docks.yaml").write_text(yaml.safe_dump(values))
-    demo = started("--out", tmp_path, "--params", tmp_path / "no_docks.yaml")
-    told, faults = demo.communicate(timeout=PATIENCE)
-    assert demo.returncode == 1, told + faults
-    assert "dock_robot: error code 901" in told
-    assert "--- log of docking_server\n" in faults
-    assert "failed (901)" in faults
-
-
-def test_demo_ends_by_an_interrupt(tmp_path: Path) -> None:
-    demo = started("--out", tmp_path)
-    assert demo.stdout is not None
-    assert "active in ROS domain" in demo.stdout.readline()
-    demo.send_signal(signal.SIGINT)
-    told, faults = demo.communicate(timeout=PATIENCE)
-    assert (demo.returncode, faults) == (130, "interrupted; the processes have ended\n"), told

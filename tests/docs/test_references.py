@@ -68,6 +68,7 @@ def equations():
     return [(page, found) for page in sorted(DOCS.rglob("*.md")) for found in EQUATION.finditer(page.read_text())]
 
 
+@functools.cache
 def defined_names(path):
     return set(sources.defined_in(str(path)))
 

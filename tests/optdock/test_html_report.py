@@ -6,11 +6,11 @@ import math
 import re
 import sys
 from html.parser import HTMLParser
+from statistics import NormalDist
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 from typer.testing import CliRunner
 
 import optdock as od
@@ -315,7 +315,7 @@ def test_many_files_stay_below_five_megabytes(monkeypatch, tmp_path):
 
 def test_counts_have_the_interval_of_wilson():
     chapters = [Chapter("x", "plans", "certified" if i < 8 else "refuted", "good", "", Content) for i in range(10)]
-    z, n, p = norm.ppf(0.975), 10, 0.8
+    z, n, p = NormalDist().inv_cdf(0.975), 10, 0.8
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     low, high = ((middle + sign * half) / (1 + z * z / n) for sign in (-1, 1))
     assert next(_counts(chapters)) == (
