@@ -25,7 +25,7 @@ from smoothers.terms import SYMBOLS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.problem import DockingProblem
     from optdock.plugins.outcomes import SampledBound
     from optdock.verification import Certificate, Violation
@@ -50,6 +50,9 @@ _BEFORE_GOAL = readonly(np.linspace(1.0, 0.0, 13))  # checked poses of the final
 # A search is local: a failure near one input proves nothing for other inputs.
 _NEAR_THIS_GUESS = "refused near this guess:"
 _SPACING = 0.02  # [m] between measured poses of a refused path, 0.7 ms for 5 m; 3 cm missed 6 mm of overlap
+# If no measured pose violates the rule: the poses with the smallest margins, and how many are measured around each of
+# them, 1 mm apart. A corner that swings past an obstacle may be 3 mm closer between two poses.
+_CLOSEST, _BETWEEN = 8, 41
 _GOAL_ALONE = 1e-4  # [m]: length of the straight that represents the goal pose
 
 
@@ -302,17 +305,15 @@ def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: 
     All poses may satisfy the rule although the lower bounds of the search are violated.
     """
     s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / _SPACING) + 1))
-    poses = path.poses_at(s)
-    from_goal, from_start = (
-        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
-    )
-    start_clearance = end_clearances(problem).start
-    required = problem.path_clearance.required_at(from_goal, from_start, start_clearance, start_relief)
-    footprint, obstacles = problem.robot.footprint, problem.all_obstacles
-    clearance, rows = compiled_clearances(poses, footprint, obstacles, float(required.max()))
+    poses, clearance, required, rows = _measured(path, problem, s, start_relief)
+    if np.all(required - clearance <= _TOLERANCE):
+        nearest = np.argsort(clearance - required, kind="stable")[:_CLOSEST]
+        between = np.clip(s[nearest, None] + np.linspace(-_SPACING, _SPACING, _BETWEEN), 0.0, path.length)
+        s = np.unique(between)
+        poses, clearance, required, rows = _measured(path, problem, s, start_relief)
     k = int(np.argmax(required - clearance))
     short, row = float(required[k] - clearance[k]), int(rows[k])
-    name = obstacles.name_of(row) if row >= 0 else ""
+    name = problem.all_obstacles.name_of(row) if row >= 0 else ""
     more: dict[str, object] = {"clearance": float(clearance[k]), "required": float(required[k])}
     if short > _TOLERANCE:
         message = (
@@ -343,3 +344,18 @@ def _unreachable(nlp: NonlinearProgram, closest: Iterate, problem: DockingProble
     message += f"; at the limit: {', '.join(tight)}" if tight else ""
     at = path.poses_at(path.length)[0]
     return Refusal("goal_unreachable", path.length, missed, "", message, at, path=path)
+
+
+def _measured(
+    path: Path, problem: DockingProblem, s: FloatArray, start_relief: float
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """Return poses at `s`, their clearances up to one spacing above the required ones, these, and nearest obstacles."""
+    poses = path.poses_at(s)
+    from_goal, from_start = (
+        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
+    )
+    start_clearance = end_clearances(problem).start
+    required = problem.path_clearance.required_at(from_goal, from_start, start_clearance, start_relief)
+    within = float(required.max()) + _SPACING
+    clearance, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, within)
+    return poses, clearance, required, rows

@@ -8,8 +8,15 @@ import pytest
 
 from experiments.families import instance
 from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherTimedOut
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.model.path import Path
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.planning import refinement
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import PartialPlan
@@ -17,6 +24,7 @@ from optdock.verification import certify_path, end_clearances, pose_clearance
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother
 from smoothers.nav2.simple import SimpleSmoother
+from smoothers.scp import refusals
 from smoothers.scp.refusals import _too_close
 
 EXACT = 1e-9
@@ -76,6 +84,26 @@ def test_a_refusal_with_only_legal_poses_names_the_bound():
     assert "keeps the required clearance" in str(error)
     assert "0.0123 m short" in str(error)
     assert "refused near this guess" in str(error)
+
+
+def test_a_corner_that_swings_past_a_post_between_two_measured_poses_is_found():
+    # The front outer corner is farthest from the centre of the arc. It comes 9.5 mm near a needle halfway between the
+    # first measured poses, where 1 cm is required, and is 16 mm away from it at both of them.
+    radius, half, front, required, short = 0.5, 0.25, 0.4, 0.01, 5e-4
+    length = 30 * refusals._SPACING
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), np.array([0.0, length]), np.full(2, 1.0 / radius))
+    path = Path((ClothoidSegment(spline),))
+    at = path.pose_at(15.5 * length / 30)
+    centre, corner = np.array([0.0, radius]), np.array((at @ Pose2(front, -half, 0.0)).as_array()[:2])
+    away = (corner - centre) / np.linalg.norm(corner - centre)
+    tip, across = corner + (required - short) * away, np.array([-away[1], away[0]])
+    needle = [tip, tip + 0.2 * away + 0.001 * across, tip + 0.2 * away - 0.001 * across]
+    robot = Robot(Footprint.rectangle(front, front, 2.0 * half), MotionLimits(max_curvature=3.0))
+    rule = ClearanceRule(required=required, at_dock=required)
+    problem = DockingProblem(path.start, Dock(path.end), robot, [needle], clearance=rule)
+    error = _too_close(path, problem, 0.0123).error()
+    assert error.where["amount"] == pytest.approx(short, rel=0.05)
+    assert "closer to obstacles[0] than required" in str(error)
 
 
 def test_a_failed_call_leaves_the_best_path_of_the_search_uncertified():
