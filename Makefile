@@ -124,8 +124,8 @@ ui-env: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check playwright
 
 test-ui: ui-env
-	@# Without Chromium the tests are skipped, and pytest ends with 5, no tests.
-	$(BIN)/python -m pytest -q -rs tests/browser $(ARGS) || [ $$? -eq 5 ]
+	@# A browser works in real time, as robots do. Without Chromium the tests are skipped, and pytest ends with 5, no tests.
+	$(BIN)/python .ci/retry.py --most 2 -- -q -rs tests/browser $(ARGS) || [ $$? -eq 5 ]
 
 report-check: ui-env
 	$(BIN)/python docs/tools/browser_check.py $(ARGS)

@@ -178,7 +178,17 @@ class OpenedPage:
         self.settle()
 
     def wait(self, condition, argument=None):
-        self.page.wait_for_function(condition, arg=argument, timeout=1e3 * PATIENCE)
+        """Wait for a condition in JavaScript; a failure names the state of the page.
+
+        The condition is evaluated by a timer, not with each frame: a browser without a GPU may paint none for long.
+        """
+        from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
+
+        try:
+            self.page.wait_for_function(condition, arg=argument, timeout=1e3 * PATIENCE, polling=50)
+        except PlaywrightTimeoutError as error:
+            state = self.page.evaluate("() => ({ ...(document.querySelector('#status p') ?? {}).dataset })")
+            raise AssertionError(f"{condition} is not met: {state}, errors: {self.errors}") from error
 
     def wait_for_message(self, part):
         self.wait("(part) => Bokeh.documents[0].get_model_by_name('message').text.includes(part)", part)

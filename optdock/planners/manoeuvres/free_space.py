@@ -104,7 +104,11 @@ class FreeSpace:
         self._kernel_arrays: dict[tuple[float, float], KernelArrays] = {}
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
-        self.levels = [_discs(self.footprint, across) for across in (1, _FINE_DISCS)]
+        self.levels = []
+        for across in (1, _FINE_DISCS):  # a millisecond each for a new footprint with 60 corners
+            poll()
+            self.levels.append(_discs(self.footprint, across))
+        poll()
         robot = packed_footprint(self.footprint)
         self._at_once = max(1, _AT_ONCE // (robot.corners * len(robot.sizes) + 4))
 
