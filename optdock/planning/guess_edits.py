@@ -33,6 +33,7 @@ _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
 # Rounding of the curvature of a sampled arc [1/m]; with more bends than this within its gears a path is a curve, or
 # would stop too often.
 _SAME_BEND, _MOST_BENDS = 1e-5, 12
+_SHARPEST = 1e6  # [1/m]: sharper bends are no arcs, and the quotient of turn and length may be infinite
 # Most distance between the poses of gears that are joined [m], and their least number: the smoother fits curvatures to
 # the directions of the chords.
 _JOINED_SPACING, _FEWEST_JOINED = 0.02, 10
@@ -85,7 +86,7 @@ def stopping_at_bends(path: Path) -> Path | None:
 
     A robot at rest may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing. This
     can be the only path if the room is too short for a transition between two curvatures. The result is None if the
-    path is not a sequence of arcs, lines and turns in place, or has too many bends.
+    path is not a sequence of arcs, lines and turns in place, turns almost in place, or has too many bends.
     """
     found: list[Segment] = []
     room = _MOST_BENDS
@@ -99,8 +100,11 @@ def stopping_at_bends(path: Path) -> Path | None:
         if room < 0:
             return None
         for begin, end in itertools.pairwise((0, *bends.tolist(), curvature.size)):
-            length = segment.knots[end] - segment.knots[begin]
-            bend = (segment.poses[end, 2] - segment.poses[begin, 2]) / length
+            length = float(segment.knots[end] - segment.knots[begin])
+            turn = float(segment.poses[end, 2] - segment.poses[begin, 2])
+            if not (length > 0.0 and abs(turn) <= _SHARPEST * length):
+                return None
+            bend = turn / length
             pose, gear = Pose2.from_sequence(segment.poses[begin]), int(segment.direction)
             spline = ClothoidSpline(pose, np.array([0.0, length]), np.array([bend, bend]), gear)
             found.append(ClothoidSegment(spline))

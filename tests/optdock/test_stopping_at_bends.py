@@ -156,3 +156,9 @@ def test_cheapest_of_several_is_kept():
     for order in ((detour, BENDS), (BENDS, detour)):
         plan = plan_dock(problem(), time_budget=5.0, planner=Offers(*map(path_of, order)), smoother=Fails())
         assert len(plan.path.segments) == 5
+
+
+@pytest.mark.parametrize("length", [5e-324, 1e-310, 1e-9])
+def test_a_turn_almost_in_place_is_no_arc(length):
+    path = Path.from_poses([[0.0, 0.0, 0.0], [length, 0.0, 0.3], [1.0, 0.3, 0.3]])
+    assert stopping_at_bends(path) is None
