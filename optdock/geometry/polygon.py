@@ -33,7 +33,9 @@ __all__ = [
 _Point: TypeAlias = "tuple[float, float]"
 _Ring: TypeAlias = "list[_Point]"
 _DENT = 1e-9  # [m]: a polygon with dents up to this depth counts as its hull; far below all tolerances
-_NARROW = 1e-6  # area relative to the squared extent, below which `simple_polygon` decides what has no area
+# Rounding of the sum of all turns, 2 pi around a simple polygon [rad]; area relative to the squared extent, below which
+# `simple_polygon` decides what has no area.
+_TURN, _NARROW = 1e-6, 1e-6
 
 
 def signed_area(vertices: FloatArray) -> float:
@@ -56,7 +58,7 @@ def is_convex(vertices: FloatArray) -> bool:
     before, after = _edges_at(vertices)
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     dot = np.sum(before * after, axis=1)
-    if abs(float(np.sum(np.arctan2(cross, dot))) - 2.0 * np.pi) > 1e-6 or np.any((cross <= 0.0) & (dot < 0.0)):
+    if abs(float(np.sum(np.arctan2(cross, dot))) - 2.0 * np.pi) > _TURN or np.any((cross <= 0.0) & (dot < 0.0)):
         return False
     dents = cross < 0.0
     if not dents.any():
@@ -188,7 +190,7 @@ def _counter_clockwise(vertices: FloatArray) -> tuple[FloatArray, BoolArray]:
         turned = np.sum(np.arctan2(cross, np.sum(before * after, axis=2)), axis=1)
         extent = np.max(np.ptp(vertices, axis=1), axis=1)
         is_bounded = np.max(np.abs(vertices), axis=(1, 2)) <= FARTHEST  # not NaN
-        is_convex = np.all(cross > 0.0, axis=1) & (np.abs(turned - 2.0 * np.pi) <= 1e-6)
+        is_convex = np.all(cross > 0.0, axis=1) & (np.abs(turned - 2.0 * np.pi) <= _TURN)
         return vertices, is_bounded & is_convex & (np.abs(area) > _NARROW * extent**2)
 
 
