@@ -278,7 +278,9 @@ Segment: TypeAlias = ClothoidSegment | PolylineSegment | TurnSegment
 
 def first_pose(segment: Segment) -> Pose2:
     """Return the pose at s = 0; for a polyline whose first step changes only the yaw, the pose before this step."""
-    return Pose2.from_sequence(segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0])
+    if isinstance(segment, ClothoidSegment):
+        return Pose2.from_sequence(segment.spline.table[0, 1:4])
+    return segment.pose if isinstance(segment, TurnSegment) else Pose2.from_sequence(segment.poses[0])
 
 
 def piece_of(segment: Segment, begin: float, end: float) -> Segment:

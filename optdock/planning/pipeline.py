@@ -76,6 +76,7 @@ __all__ = [
     "DEFAULT_TIME_BUDGET",
     "DEFAULT_TIMING",
     "PlannerLike",
+    "Plugins",
     "SmootherLike",
     "TimingLike",
     "plan_dock",
@@ -201,15 +202,14 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     so_far, warmed = PartialPlan(), _warm_once.cache_info().misses
     deadline = Deadline(time_budget - _margin(time_budget))
     try:
-        planners, smoothing, parameterizing = _chosen(planner, smoother, timing)
-        _warm_once(tuple(map(type, planners)), type(smoothing), type(parameterizing))
+        plugins = Plugins.ready(planner, smoother, timing)
         if _warm_once.cache_info().misses > warmed:
             deadline = Deadline(deadline.seconds)
         limits = Cancellation(cancel_checker), time_budget, deadline
-        work = Refinement(problem, smoothing, parameterizing, warm_start, *limits, so_far.timing_ms)
+        work = Refinement(problem, plugins.smoother, plugins.timing, warm_start, *limits, so_far.timing_ms)
         try:
             with garbage_collection_paused():
-                plan = _Portfolio(work, planners, given, so_far, least_gain).plan()
+                plan = _Portfolio(work, plugins.planner, given, so_far, least_gain).plan()
         finally:
             _WAITS.append(work.longest_wait)
         if logger.isEnabledFor(logging.INFO):
@@ -255,8 +255,7 @@ def warm_up(
         PluginError: If a plugin is unknown or cannot be built.
         InvalidValue: If a parameter of a plugin is wrong, or `robot` is not a `Robot`.
     """
-    planners, smoothing, parameterizing = _chosen(planner, smoother, timing)
-    _warm_once(tuple(map(type, planners)), type(smoothing), type(parameterizing))
+    Plugins.ready(planner, smoother, timing)
     if robot is not None:
         prepare_footprint(instance(Robot, robot, "robot").footprint)
 
@@ -288,17 +287,26 @@ def _warm_once(
     logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
 
-def _chosen(
-    planner: PlannerLike | Sequence[PlannerLike], smoother: SmootherLike, timing: TimingLike
-) -> tuple[tuple[GlobalPlanner, ...], Smoother, TimeParameterizer]:
-    planners = tuple(planner) if isinstance(planner, list | tuple) else (planner,)
-    if not planners:
-        raise InvalidValue("planner: must be one planner or several, got none")
-    return (
-        tuple(plugin_from(GlobalPlanner, one, "planner") for one in planners),
-        plugin_from(Smoother, smoother, "smoother"),
-        plugin_from(TimeParameterizer, timing, "timing"),
-    )
+class Plugins(NamedTuple):
+    """Plugins of a call; the names of the fields are those of the arguments of `plan_dock`."""
+
+    planner: tuple[GlobalPlanner, ...]
+    smoother: Smoother
+    timing: TimeParameterizer
+
+    @classmethod
+    def ready(cls, planner: PlannerLike | Sequence[PlannerLike], smoother: SmootherLike, timing: TimingLike) -> Plugins:
+        """Return the plugins, whose classes have been used once in this process; see `warm_up`."""
+        planners = tuple(planner) if isinstance(planner, list | tuple) else (planner,)
+        if not planners:
+            raise InvalidValue("planner: must be one planner or several, got none")
+        chosen = cls(
+            tuple([plugin_from(GlobalPlanner, one, "planner") for one in planners]),
+            plugin_from(Smoother, smoother, "smoother"),
+            plugin_from(TimeParameterizer, timing, "timing"),
+        )
+        _warm_once(tuple(map(type, chosen.planner)), type(chosen.smoother), type(chosen.timing))
+        return chosen
 
 
 # Longest times for which the machine suspended each of the last calls [s]; nearly 0 on an idle machine. A process that

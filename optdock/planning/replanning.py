@@ -23,7 +23,7 @@ import logging
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,12 +48,11 @@ from optdock.model.trajectory import Trajectory
 from optdock.planning.backing_up import backed_up
 from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.deformation import Push, pushes_off
-from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
+from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, Plugins, plan_dock
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time, sampled_bounds
 from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
-from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
-from optdock.plugins.registry import plugin_from
+from optdock.plugins.interfaces import never_cancelled
 from optdock.samples.tube import Tube
 from optdock.verification import (
     ProvenWay,
@@ -218,13 +217,11 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
         raise InvalidValue(f"lead: must be >= 0 s, got {lead}")
     state = _checked(state)
     world = _world(plan, target)
-    plugins = _Plugins(planner, smoother, timing)
-    warm_up(*plugins)
-    deadline = Deadline(time_budget)
-    drive, smoothing = RunningDrive(plan, world, state), plugin_from(Smoother, smoother, "smoother")
-    run = _Replanning(drive, time_budget, lead, Cancellation(cancel_checker), deadline, smoothing)
+    plugins = Plugins.ready(planner, smoother, timing)
+    deadline, drive = Deadline(time_budget), RunningDrive(plan, world, state)
+    run = _Replanning(drive, time_budget, lead, Cancellation(cancel_checker), deadline, plugins)
     with garbage_collection_paused():
-        found = run.answer(min(drive_delay, lead), plugins)
+        found = run.answer(min(drive_delay, lead))
     logger.info("%r after %.1f ms", found, 1e3 * run.deadline.elapsed)
     return found
 
@@ -251,14 +248,6 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
     return target
 
 
-class _Plugins(NamedTuple):
-    """Plugins of a call, as specified by the caller."""
-
-    planner: PlannerLike | tuple[PlannerLike, ...]
-    smoother: SmootherLike
-    timing: TimingLike
-
-
 @dataclass(eq=False)
 class _Replanning:
     """State and steps of one call of `replan`."""
@@ -268,12 +257,12 @@ class _Replanning:
     lead: float
     cancelled: Cancellation
     deadline: Deadline
-    smoother: Smoother
+    plugins: Plugins
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
 
-    def answer(self, delay: float, plugins: _Plugins) -> Replanned:
+    def answer(self, delay: float) -> Replanned:
         """Return the decision: new, kept or stop."""
         joint = self.drive.branch_point(self.lead, at_a_rest=True)
         is_moved = self.drive.is_on_the_path or self.drive.ahead is not self.drive.path
@@ -281,7 +270,7 @@ class _Replanning:
             self.drive.move_ahead()
             joint = self.drive.branch_point(self.lead, at_a_rest=True)
         try:
-            return self._decided(joint, delay, plugins)
+            return self._decided(joint, delay)
         except (PluginError, LifecycleError, InvalidValue):
             raise
         except Cancelled as error:
@@ -290,7 +279,7 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _decided(self, joint: BranchPoint, delay: float, plugins: _Plugins) -> Replanned:
+    def _decided(self, joint: BranchPoint, delay: float) -> Replanned:
         """Prove the way to the joint and plan from there; on the final straight the old plan is tried before."""
         why, kept = _AT_THE_END if joint.is_at_the_end else _ON_THE_STRAIGHT, None
         is_deformed = joint.has_more_than(self.drive.world.dock.final_straight)
@@ -302,18 +291,15 @@ class _Replanning:
         if until is not None and until.way is None:
             blocked = f"the path until the takeover of a new plan is not clear: {until.reason}"
             return (self._kept(blocked) if is_deformed else None) or self._stop(delay, blocked)
-        return self._replanned(joint, None if until is None else until.way, plugins, is_deformed=is_deformed)
+        return self._replanned(joint, None if until is None else until.way, is_deformed=is_deformed)
 
-    def _replanned(
-        self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins, *, is_deformed: bool
-    ) -> Replanned:
+    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, *, is_deformed: bool) -> Replanned:
         """Try the deformed path, then the old plan, then another approach, then a new plan in other gears, or raise."""
         reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
         deadline, problem = self.deadline.shortened(by=reserve), self.drive.problem_at(joint)
         if joint.rest is not None:
-            timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
             limits = self.cancelled, self.budget, deadline, self.timing_ms
-            work = Refinement(problem, self.smoother, timing, joint.rest, *limits)
+            work = Refinement(problem, self.plugins.smoother, self.plugins.timing, joint.rest, *limits)
             guess, plan = self._deformed(joint, joint.rest, work) if is_deformed else (joint.rest, None)
             if plan is not None:
                 return self._new(joint, until, plan)
@@ -332,7 +318,7 @@ class _Replanning:
             time_budget=left,
             cancel_checker=self.cancelled,
             least_gain=_LEAST_GAIN,
-            **plugins._asdict(),
+            **self.plugins._asdict(),
         )
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
             raise FailedToSmoothPath(
@@ -418,7 +404,7 @@ class _Replanning:
     def _keeps_own_bounds(self, rest: Path, begin: float) -> bool:
         """Whether the rest of the running path, from `begin` [m], satisfies the smoother's own bounds at samples."""
         before = self.drive.path.piece(0.0, begin).driven if begin > NO_WAY else 0.0
-        found = sampled_bounds(self.smoother, rest, self.drive.world, self.cancelled, before)
+        found = sampled_bounds(self.plugins.smoother, rest, self.drive.world, self.cancelled, before)
         return all(bound.holds for bound in found)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:

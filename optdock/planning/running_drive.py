@@ -169,7 +169,7 @@ class RunningDrive:
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
         if at_a_rest:
             time = self._next_rest(time)
-        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        s, speed, acceleration = running.time_law.state_at(time)
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
         if s > length - NO_WAY:  # the last micrometre of a motion takes a millisecond
             time, s, speed, acceleration = running.duration, length, 0.0, 0.0
@@ -183,7 +183,7 @@ class RunningDrive:
     def _next_rest(self, time: float) -> float:
         """Return `time`, or the time of the next rest if that rest is near or the robot turns in place."""
         running = self.plan.trajectory
-        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        s, speed, acceleration = running.time_law.state_at(time)
         if self.state.rate <= 0.0:
             return time  # the clock does not advance
         if max(abs(speed), abs(acceleration)) <= _AT_REST:

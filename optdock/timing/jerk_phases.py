@@ -101,9 +101,9 @@ class Motion(NamedTuple):
         """Return distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
         if not self.durations.size:  # if an acceleration is so small that its square is 0
             return np.repeat(self.states, t.size, axis=1)
-        phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
+        phase = np.minimum(self.times.searchsorted(t, side="right") - 1, self.durations.size - 1)
         s, v, a = self.states[:, phase]
-        return np.stack(constant_jerk(t - self.times[phase], s, v, a, self.jerks[phase]))
+        return np.array(constant_jerk(t - self.times[phase], s, v, a, self.jerks[phase]))
 
     def sample_times(self, period: float) -> FloatArray:
         """Return all phase boundaries, and times at most `period` [s] apart, or further apart in very long motions."""
@@ -120,7 +120,7 @@ class Motion(NamedTuple):
         for _ in range(2):
             distance, speed, _a = self.at(t)
             step = (distance - s) / np.maximum(speed, 1e-3)
-            t = np.clip(t - np.clip(step, -0.01, 0.01), 0.0, self.duration)
+            t = np.minimum(np.maximum(t - np.minimum(np.maximum(step, -0.01), 0.01), 0.0), self.duration)
         return t
 
     def cut(self, t: float) -> tuple[Phases, MotionState]:

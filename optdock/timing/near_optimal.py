@@ -39,7 +39,6 @@ from optdock.timing.plan_checks import (
 from optdock.timing.reference_program import solve_reference, spline_phases
 from optdock.timing.retry_strategy import SegmentTimeParameterizer
 from optdock.timing.ruckig_moves import Move, move, split_into_moves
-from optdock.timing.start_states import Braking
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
 
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.retry_strategy import Deadlines
+    from optdock.timing.start_states import Braking
 
 __all__ = ["NearOptimal", "NearOptimalParameters", "ReferenceMotion", "near_optimal_plans", "reference_motion"]
 
@@ -79,13 +79,22 @@ class NearOptimal(SegmentTimeParameterizer):
     Parameters = NearOptimalParameters
     parameters: NearOptimalParameters
 
-    def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+    def segment_plans(
+        self, limits: PathLimits, start: MotionState, deadlines: Deadlines, braking: Braking | None
+    ) -> Iterator[SegmentPlan]:
         """Yield plans of one segment; see `near_optimal_plans`."""
-        return near_optimal_plans(limits, start, deadlines, self.parameters.step, smooth=self.parameters.smooth)
+        step, smooth = self.parameters.step, self.parameters.smooth
+        return near_optimal_plans(limits, start, deadlines, braking, step, smooth=smooth)
 
 
 def near_optimal_plans(
-    limits: PathLimits, start: MotionState, deadlines: Deadlines, step: float = KNOT_STEP, *, smooth: bool = False
+    limits: PathLimits,
+    start: MotionState,
+    deadlines: Deadlines,
+    braking: Braking | None,
+    step: float = KNOT_STEP,
+    *,
+    smooth: bool = False,
 ) -> Iterator[SegmentPlan]:
     """Yield plans of one segment by every method in order, from a start state that permits the speed caps.
 
@@ -95,6 +104,7 @@ def near_optimal_plans(
         limits: Limits along the segment.
         start: State at the start of the segment.
         deadlines: Deadlines in wall-clock time.
+        braking: Full braking from a moving start; None from rest.
         step: Knot spacing of the reference [s].
         smooth: Whether the reference itself is the motion.
 
@@ -107,9 +117,7 @@ def near_optimal_plans(
         try:
             if not smooth:
                 yield from _single_moves(limits, start)
-            relief = 0.0
-            if start.v > 0.0 or start.a > 0.0:
-                relief = Braking(limits, start).tight_length(_RELIEF * SPEED_MARGIN, _TIGHT_YAW)
+            relief = braking.tight_length(_RELIEF * SPEED_MARGIN, _TIGHT_YAW) if braking is not None else 0.0
             yield from _references(limits, start, deadlines.search, (step, smooth, relief), tried)
         except OutOfTime:
             pass

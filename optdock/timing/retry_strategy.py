@@ -39,7 +39,7 @@ from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases
 from optdock.timing.path_limits import NO_LENGTH, limits_along
 from optdock.timing.plan_checks import KEPT, SegmentPlan, end_slack, worst_ratio
 from optdock.timing.ruckig_moves import load_ruckig, move
-from optdock.timing.start_states import NO_DISTANCE, judge_start
+from optdock.timing.start_states import NO_DISTANCE, Braking, judge_start
 from optdock.verification import TOLERANCE, certify_trajectory
 
 if TYPE_CHECKING:
@@ -95,8 +95,10 @@ class Deadlines(NamedTuple):
 
 NO_DEADLINES = Deadlines()
 
-SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
+SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines, Braking | None], Iterator[SegmentPlan]]"
 """A method that plans one segment from a state from which full braking satisfies the speed caps.
+
+The last argument is full braking from a moving start, None from rest.
 
 It yields plans of status OK, best first, each made only if the previous plan was rejected; the last plan may have
 status FAIL, with the reason.
@@ -146,7 +148,9 @@ class SegmentTimeParameterizer(TimeParameterizer):
         return time_path(path, limits, zone, start, self.segment_plans, deadline)
 
     @abstractmethod
-    def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+    def segment_plans(
+        self, limits: PathLimits, start: MotionState, deadlines: Deadlines, braking: Braking | None
+    ) -> Iterator[SegmentPlan]:
         """Yield plans of one segment; implements `SegmentPlanner`."""
 
 
@@ -343,11 +347,12 @@ def segment_plans(
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=limits.begin)
         return
     if start.v == 0.0 and start.a == 0.0:
-        yield from method(limits, start, deadlines)
+        yield from method(limits, start, deadlines, None)
         return
     verdict = judge_start(limits, start)
     if verdict.refusal is None:
-        yield from (plan for plan in method(limits, start, deadlines) if plan.status is TimingStatus.OK)
+        plans = method(limits, start, deadlines, verdict.braking)
+        yield from (plan for plan in plans if plan.status is TimingStatus.OK)
     elif not verdict.ways_on:
         yield verdict.refusal
         return
@@ -404,7 +409,9 @@ def _resumed(limits: PathLimits, verdict: StartVerdict, method: SegmentPlanner, 
     for phases, state in verdict.ways_on:
         if limits.length - state.s < NO_DISTANCE:
             continue
-        found = best_of(method(limits.after(state.s), MotionState(0.0, max(state.v, 0.0), state.a), deadlines))
+        rest, begin = limits.after(state.s), MotionState(0.0, max(state.v, 0.0), state.a)
+        moves = begin.v > 0.0 or begin.a > 0.0
+        found = best_of(method(rest, begin, deadlines, Braking(rest, begin) if moves else None))
         if found.status is TimingStatus.OK and found.phases:
             return phases + found.phases
     return verdict.ways_on[-1][0]

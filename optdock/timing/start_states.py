@@ -91,10 +91,12 @@ class StartVerdict(NamedTuple):
     Args:
         refusal: Reason why no motion satisfies every limit, or None if such a motion may exist.
         ways_on: Phases after which a plan may continue, and the state after them, best first.
+        braking: Full braking; None for a refusal.
     """
 
     refusal: SegmentPlan | None
     ways_on: tuple[tuple[Phases, MotionState], ...] = ()
+    braking: Braking | None = None
 
     def __bool__(self) -> bool:
         return self.refusal is None
@@ -124,7 +126,7 @@ def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
     stopped = brake.phases, MotionState(needed)
     broken = np.flatnonzero(braking.ratios > KEPT)
     if broken.size == 0:
-        return StartVerdict(None, (stopped,))
+        return StartVerdict(None, (stopped,), braking)
     worst = int(np.argmax(braking.ratios))
     limit, sentence = _broken_limit(braking, worst, limits)
     reason = f"{sentence} under full braking; no motion from this start does better"

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.retry_strategy import Deadlines
+    from optdock.timing.start_states import Braking
 
 __all__ = ["Window", "Windowed", "WindowedParameters", "reachable_speed", "s_curve_length", "windowed_plans"]
 
@@ -52,7 +53,9 @@ class Windowed(SegmentTimeParameterizer):
     Parameters = WindowedParameters
     parameters: WindowedParameters
 
-    def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+    def segment_plans(
+        self, limits: PathLimits, start: MotionState, deadlines: Deadlines, _braking: Braking | None
+    ) -> Iterator[SegmentPlan]:
         """Yield the plan of one segment; see `windowed_plans`."""
         return windowed_plans(limits, start, deadlines, self.parameters)
 

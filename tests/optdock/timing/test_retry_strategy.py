@@ -27,12 +27,16 @@ def along(make, all_limits):
     return limits_along(Path((make.spline([2.0], [0.0, 0.0]),)), all_limits, SpeedZone())[0]
 
 
-def never(along, start, deadlines):
+def never(along, start, deadlines, braking):
     yield SegmentPlan(TimingStatus.FAIL, reason="no plan")
 
 
-def only_from_rest(along, start, deadlines):
-    return windowed_plans(along, start, deadlines) if start == MotionState() else never(along, start, deadlines)
+def windowed(along, start, deadlines, braking):
+    return windowed_plans(along, start, deadlines)
+
+
+def only_from_rest(*segment):
+    return (windowed if segment[1] == MotionState() else never)(*segment)
 
 
 def first_plan(along, start, plan):
@@ -55,7 +59,7 @@ def test_no_plan_at_all_is_a_failure(along):
 
 
 def test_braking_ends_once_every_limit_is_kept(along):
-    found = first_plan(along, MotionState(0.0, 0.7), windowed_plans)
+    found = first_plan(along, MotionState(0.0, 0.7), windowed)
     assert (found.status, found.arrives) == (TimingStatus.START_INFEASIBLE, True)
     motion = Motion.of(MotionState(0.0, 0.7), found.phases)
     s, v, _a = motion.states
@@ -75,8 +79,8 @@ def test_braking_to_rest_without_a_plan(make, all_limits):
 def test_a_later_gear_without_a_plan_is_a_failure(make, all_limits):
     gears = make.spline([2.0], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)
 
-    def first_only(along, start, deadlines):
-        return (windowed_plans if along.caps.direction > 0 else never)(along, start, deadlines)
+    def first_only(*segment):
+        return (windowed if segment[0].caps.direction > 0 else never)(*segment)
 
     result = time_path(Path(gears), all_limits, SpeedZone(), TimingStart(0.7, 0.0), first_only)
     assert (result.status, result.trajectory, result.reason) == (TimingStatus.FAIL, None, "no plan")
@@ -108,16 +112,16 @@ def test_a_zone_that_begins_at_a_knot_is_kept(method, make):
     assert {-1.0, 0.0, 1.0} <= sides
 
 
-def reckless(along, start, deadlines):
+def reckless(along, start, deadlines, braking):
     """Plans that ignore the turning limits: refused wherever these bind."""
     limits = along.drive
     box = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
     yield SegmentPlan(TimingStatus.OK, move(start, MotionState(along.length), box), how="reckless")
 
 
-def reckless_then_careful(along, start, deadlines):
-    yield from reckless(along, start, deadlines)
-    yield from windowed_plans(along, start, deadlines)
+def reckless_then_careful(*segment):
+    yield from reckless(*segment)
+    yield from windowed(*segment)
 
 
 @pytest.fixture
@@ -150,8 +154,8 @@ def test_a_gear_without_another_plan_reports_the_violation(gears, all_limits):
 def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
     path = Path((make.spline([1.5, 0.3, 0.3], [0.0, 0.0, 1.5, 0.0]),))
 
-    def careful_from_rest(along, start, deadlines):
-        return (windowed_plans if start == MotionState() else reckless)(along, start, deadlines)
+    def careful_from_rest(*segment):
+        return (windowed if segment[1] == MotionState() else reckless)(*segment)
 
     result = time_path(path, all_limits, SpeedZone(), TimingStart(0.4, 0.0), careful_from_rest)
     assert (result.status, result.report.gears) == (TimingStatus.OK, ("stop and go",))
@@ -159,7 +163,7 @@ def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
 
 
 ZONE = SpeedZone(0.12, 0.4)
-PLANNERS = {"near-optimal": near_optimal_plans, "windowed": windowed_plans}
+PLANNERS = {"near-optimal": near_optimal_plans, "windowed": windowed}
 
 
 class Ticking:
@@ -193,7 +197,7 @@ def test_methods_by_available_time(make, all_limits):
     found = []
     for ticks in np.geomspace(2, 3000, 20):
         deadlines = Deadlines.of(Deadline(1e-3 * ticks, Ticking()), lookup=0.02)
-        found.append(best_of(near_optimal_plans(along, MotionState(), deadlines)).how)
+        found.append(best_of(near_optimal_plans(along, MotionState(), deadlines, None)).how)
     order = ["none", "windowed", "reference"]
     ranks = [order.index(how) for how in found]
     assert ranks == sorted(ranks)
