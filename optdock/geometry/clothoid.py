@@ -185,13 +185,8 @@ def _table_numpy(start: Pose2, knots: FloatArray, curvature: FloatArray, sign: i
 
 
 def _poses_native(s: FloatArray, table: FloatArray, sign: int) -> FloatArray:
-    poses = np.empty((s.size, 3))
-    arrays = (
-        (np.ascontiguousarray(s), s.size),
-        (table, table.size),
-        (QUADRATURE, QUADRATURE.size),
-        (poses, poses.size),
-    )
+    points, poses = np.ascontiguousarray(s), np.empty((s.size, 3))
+    arrays = (points, s.size), (table, table.size), (QUADRATURE, QUADRATURE.size), (poses, poses.size)
     _POSES((s.size, len(table)), (float(sign),), arrays)
     return poses
 

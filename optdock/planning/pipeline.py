@@ -55,9 +55,9 @@ from optdock.planning.guess_edits import FEWER_CUSPS, fewer_cusps, stopping_at_b
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import (
     PLAIN_TIMING,
+    AtWork,
     Cancellation,
     Refinement,
-    at_work,
     plain,
     ran_out_of_time,
     returned,
@@ -296,7 +296,12 @@ class Plugins(NamedTuple):
 
     @classmethod
     def ready(cls, planner: PlannerLike | Sequence[PlannerLike], smoother: SmootherLike, timing: TimingLike) -> Plugins:
-        """Return the plugins, whose classes have been used once in this process; see `warm_up`."""
+        """Return the plugins, whose classes have been used once in this process.
+
+        Raises:
+            InvalidValue: As `warm_up`.
+            PluginError: As `warm_up`.
+        """
         planners = tuple(planner) if isinstance(planner, list | tuple) else (planner,)
         if not planners:
             raise InvalidValue("planner: must be one planner or several, got none")
@@ -451,7 +456,7 @@ class _Portfolio:
         for planner in self.planners:
             makes_one = type(planner).create_plans is GlobalPlanner.create_plans
             try:
-                with at_work(planner, self.problem, self.work.cancelled):
+                with AtWork(planner, self.problem, self.work.cancelled):
                     for guess in self._guesses_of(planner, is_last=planner is last):
                         yield guess, makes_one and planner is last
             except (PlannerException, PluginError) as error:

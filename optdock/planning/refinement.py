@@ -60,9 +60,9 @@ if TYPE_CHECKING:
     from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
 __all__ = [
+    "AtWork",
     "Cancellation",
     "Refinement",
-    "at_work",
     "plain",
     "ran_out_of_time",
     "returned",
@@ -289,7 +289,7 @@ class Refinement:
             problem = problem.starting_at(problem.start @ Pose2(gear * kept, 0.0, 0.0), curvature=0.0)
             raw, earlier = raw.piece(kept), None
         try:
-            with at_work(smoother, self.problem, self.cancelled):
+            with AtWork(smoother, self.problem, self.cancelled):
                 try:
                     result = smoother.smooth(
                         raw,
@@ -361,7 +361,7 @@ class Refinement:
         wait = self.problem.start_wait(path)
         waits: dict[str, Any] = {"start_wait": wait} if wait > 0.0 else {}
         watch = Stopwatch(self.deadline)
-        with at_work(method, self.problem, self.cancelled):
+        with AtWork(method, self.problem, self.cancelled):
             result = method.parameterize(
                 path,
                 limits,
@@ -417,18 +417,13 @@ class StageTimer:
         work.timing_ms[self._stage] = work.timing_ms.get(self._stage, 0.0) + 1e3 * took
 
 
-def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> _AtWork:
-    """Return a context that configures a plugin for the problem and converts errors that are not in its interface.
+class AtWork:
+    """Context that configures a plugin for a problem and converts errors that are not in the plugin's interface.
 
     Raises on entry and exit:
         PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.
         LifecycleError: If the plugin is configured already.
     """
-    return _AtWork(plugin, problem, cancelled)
-
-
-class _AtWork:
-    """See `at_work`."""
 
     __slots__ = ("_cancelled", "_plugin", "_problem")
 
@@ -478,7 +473,7 @@ def sampled_bounds(
     """
     if type(smoother).sampled_bounds is Smoother.sampled_bounds:
         return ()
-    with at_work(smoother, problem, cancelled):
+    with AtWork(smoother, problem, cancelled):
         found = returned(smoother.sampled_bounds(path, before=before), tuple, smoother, "its sampled bounds")
     return tuple(returned(bound, SampledBound, smoother, "a sampled bound") for bound in found)
 

@@ -16,7 +16,7 @@ from optdock.geometry.pose import normalize_angle, wrap_angles
 from optdock.model.path import PolylineSegment
 from optdock.planning.guess_edits import FEWER_CUSPS
 from optdock.planning.plan import PartialPlan, tightest_place
-from optdock.planning.refinement import Cancellation, at_work, plain, returned
+from optdock.planning.refinement import AtWork, Cancellation, plain, returned
 from optdock.plugins.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.plugins.registry import plugin_from, timed_by
 from optdock.reports.report import table
@@ -170,7 +170,7 @@ def smoothed_figures(scenario: Scenario, raw: Path, choice: PluginChoice) -> Pat
     smoother, problem = plugin_from(Smoother, choice, "smoother"), scenario.problem
     began = time.process_time()
     try:
-        with at_work(smoother, problem, Cancellation(never_cancelled)):
+        with AtWork(smoother, problem, Cancellation(never_cancelled)):
             result = smoother.smooth(raw, scenario.time_budget, problem=problem)
         path = plain(returned(result, SmoothingResult, smoother).path, smoother, problem.frame)
         cpu = 1e3 * (time.process_time() - began)
