@@ -27,7 +27,7 @@ from optdock.timing import interior_point, path_limits, reference_program, rucki
 from optdock.verification import certify_path, clearance_kernel, clearance_rounds, stretch_bounds, trajectory_rules
 from optdock.verification.conservative_advancement import prove_clearance
 from smoothers.scp import initial_guess, loop
-from smoothers.scp.collision import clearance_along, linearization
+from smoothers.scp.collision import linearization
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -45,7 +45,7 @@ _KERNELS = {
     "bounds of the proof": (stretch_bounds, "_body_bounds_chosen"),
     "round of the proof": (clearance_rounds, "_round_chosen"),
     "clearances of ends": (clearance_kernel, "_of_pieces_chosen"),
-    "clearance along a roll-out": (clearance_along, "_along"),
+    "clearance along a roll-out": (loop, "clearance_along"),
     "rows of planes": (linearization, "separating_plane_rows"),
     "roll-out": (initial_guess, "roll_out"),
     "sensitivity": (loop, "sensitivity"),

@@ -23,7 +23,6 @@ from optdock.geometry.arrays import frozen, readonly
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
 from smoothers.scp.basis import basis_for
-from smoothers.scp.collision.clearance_along import evaluates_all_edges
 from smoothers.scp.cost import CostModel, InputNodes
 from smoothers.scp.packed_program import packed
 
@@ -118,7 +117,7 @@ class NonlinearProgram:
     @cached_property
     def is_compiled(self) -> bool:
         """Whether the kernels cover all constraints."""
-        return self.view is None and self.terms is None and evaluates_all_edges(self.scene)
+        return self.view is None and self.terms is None
 
 
 class Formulation(NamedTuple):

@@ -33,15 +33,16 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     basis, scene, near, step = nlp.basis, nlp.scene, nlp.scene.settings, nlp.settings.step
     (parts, v, _), (obstacles, k, _) = scene.body.vertices.shape, scene.obstacles.vertices.shape
     trusted = trusted_nodes(basis, step)
-    selection = near.few_pairs, near.nearest, near.nearest_close, near.grouped_intervals, near.lowest_vertices
+    selection = near.few_pairs, near.nearest, near.nearest_close, near.grouped_intervals
+    edges = near.lowest_vertices, near.facing_edges
     active = near.few_planes, near.thins_small_obstacles, near.discs_per_node, near.most_discs
     projection = nlp.settings.projection
     sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, parts, v, obstacles, k
     others = projection.max_steps, projection.alternations, step.zones, trusted.size
-    is_limited = bool(np.isfinite(nlp.inner_bounds.rate))
+    rows = bool(np.isfinite(nlp.inner_bounds.rate)), step.clearance_rows[-1]
     counts = np.concatenate(
         (
-            np.array((*sizes, *selection, *active, *others, is_limited, step.clearance_rows[-1]), dtype=np.int64),
+            np.array((*sizes, *selection, *edges, *active, *others, *rows), dtype=np.int64),
             basis.divisions.ravel(),
             basis.left,
             trusted,

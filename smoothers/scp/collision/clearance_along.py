@@ -28,34 +28,10 @@ if TYPE_CHECKING:
     from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.rollout import Rollout
 
-__all__ = ["Room", "clearance_along", "evaluates_all_edges"]
+__all__ = ["Room", "clearance_along"]
 
-_KERNEL = Kernel("optdock_clearance_along", sizes=11, numbers=4)
+_KERNEL = Kernel("optdock_clearance_along", sizes=12, numbers=4)
 assert (DOCKING, FULL, LEAVING, UNDOCKING) == (0, 1, 2, 3)  # constants of the kernel
-
-
-def clearance_along(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
-    """Return the proven margins of the pairs that the broad phase finds within `reach` [m].
-
-    Args:
-        scene: Obstacles, body and rule.
-        basis: Shape of the path.
-        rollout: The path.
-        signs: Gears, Shape (num_gears,).
-        reach: See `broad_phase`.
-    """
-    return (_along if evaluates_all_edges(scene) else _by_numpy)(scene, basis, rollout, signs, reach)
-
-
-def evaluates_all_edges(scene: Scene) -> bool:
-    """Whether all edges of the body are candidates, as in the kernel; of many edges, NumPy selects some."""
-    return len(scene.body.vertices[0]) <= scene.settings.facing_edges
-
-
-def _by_numpy(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
-    body = body_at_nodes(scene, rollout.poses)
-    pairs = broad_phase(scene, basis, rollout, body, reach)
-    return narrow_phase(scene, basis, rollout, signs, body, pairs)
 
 
 class Room(NamedTuple):
@@ -105,10 +81,23 @@ def _by_kernel(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, 
         (np.empty(room.indices, dtype=np.int64), room.indices),
     )
     counts = (parts, v, count, k, nodes, basis.num_intervals, settings.few_pairs, settings.nearest)
-    selection = (settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices)
+    selection = settings.nearest_close, settings.grouped_intervals, settings.lowest_vertices, settings.facing_edges
     close = scene.rule.required + settings.surely_kept
     p = _KERNEL((*counts, *selection), (scene.body.radius, reach, close, settings.lowest_slope), arrays)
     return room.clearance(pairs[: nodes + 3 * p], out[: 4 * nodes + room.width * p])
 
 
-_along = twin_of(_by_kernel)(_by_numpy)
+@twin_of(_by_kernel)
+def clearance_along(scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
+    """Return the proven margins of the pairs that the broad phase finds within `reach` [m].
+
+    Args:
+        scene: Obstacles, body and rule.
+        basis: Shape of the path.
+        rollout: The path.
+        signs: Gears, Shape (num_gears,).
+        reach: See `broad_phase`.
+    """
+    body = body_at_nodes(scene, rollout.poses)
+    pairs = broad_phase(scene, basis, rollout, body, reach)
+    return narrow_phase(scene, basis, rollout, signs, body, pairs)

@@ -27,7 +27,7 @@ typedef struct {
     double radius;                    /* of the body [m] */
     double near;                      /* [m]: pairs whose boxes are farther apart are left out */
     double close;                     /* [m]: pairs whose boxes are nearer may violate the rule */
-    int64_t few, nearest, nearest_close, together, lowest_vertices;
+    int64_t few, nearest, nearest_close, together, lowest_vertices, facing_edges;
     double lowest_slope;
 } Scene;
 
@@ -342,27 +342,7 @@ static void closest(const Pair *pair, int64_t *vertex, int64_t *corner)
     }
 }
 
-/* The best of the candidates of the separating axis theorem: edge normals of the obstacle, inward edge normals (v,) of
- * the body, the direction between the closest vertices, and both normals of the chord of the closest vertex. */
-static Candidate best_candidate(const Pair *pair, const Vector *inward)
-{
-    int64_t vertex, corner, v = pair->count / 2;
-    Candidate best = {{0.0, 0.0}, 0.0};
-    for (int64_t i = 0; i < pair->k; i++)
-        consider(pair, pair->edges[i], &best, i == 0);
-    for (int64_t i = 0; i < v; i++)
-        consider(pair, inward[i], &best, 0);
-    closest(pair, &vertex, &corner);
-    Vector here = pair->hull[vertex], there = pair->outline[corner], other = pair->hull[(vertex + v) % pair->count];
-    Vector direct = {here.x - there.x, here.y - there.y}, chord = {here.y - other.y, other.x - here.x};
-    chord = unit(chord, pair->edges[0]);
-    consider(pair, unit(direct, pair->edges[0]), &best, 0);
-    consider(pair, chord, &best, 0);
-    consider(pair, (Vector){-chord.x, -chord.y}, &best, 0);
-    return best;
-}
-
-/* A hull vertex in the frame (tangent, axis). */
+/* A hull vertex in the frame (tangent, axis), or another vector, with a key to sort by. */
 typedef struct {
     double along, height, key;
 } Seen;
@@ -377,6 +357,46 @@ static void sort(Seen *points, int64_t count)
             points[j] = points[j - 1];
         points[j] = moved;
     }
+}
+
+/* Keep the edge normals of the body that face most along an axis, in the order of how far they do. Return their number.
+ * inward: (v,), changed; points: work, (v,). */
+static int64_t facing(const Scene *scene, Vector axis, int64_t v, Vector *inward, Seen *points)
+{
+    for (int64_t i = 0; i < v; i++)
+        points[i] = (Seen){inward[i].x, inward[i].y, -dot(inward[i], axis)};
+    sort(points, v);
+    for (int64_t i = 0; i < scene->facing_edges; i++)
+        inward[i] = (Vector){points[i].along, points[i].height};
+    return scene->facing_edges;
+}
+
+/* The best of the candidates of the separating axis theorem: edge normals of the obstacle, inward edge normals (v,) of
+ * the body, the direction between the closest vertices, and both normals of the chord of the closest vertex. Of a body
+ * with many edges, those that face most along the best of the other candidates. points: work, (v,). */
+static Candidate best_candidate(const Scene *scene, const Pair *pair, Vector *inward, Seen *points)
+{
+    int64_t vertex, corner, v = pair->count / 2, edges = v;
+    Candidate best = {{0.0, 0.0}, 0.0};
+    for (int64_t i = 0; i < pair->k; i++)
+        consider(pair, pair->edges[i], &best, i == 0);
+    closest(pair, &vertex, &corner);
+    Vector here = pair->hull[vertex], there = pair->outline[corner], other = pair->hull[(vertex + v) % pair->count];
+    Vector direct = {here.x - there.x, here.y - there.y}, chord = {here.y - other.y, other.x - here.x};
+    direct = unit(direct, pair->edges[0]);
+    chord = unit(chord, pair->edges[0]);
+    Vector between[3] = {direct, chord, {-chord.x, -chord.y}};
+    if (v > scene->facing_edges) {
+        Candidate without = best;
+        for (int64_t i = 0; i < 3; i++)
+            consider(pair, between[i], &without, 0);
+        edges = facing(scene, without.axis, v, inward, points);
+    }
+    for (int64_t i = 0; i < edges; i++)
+        consider(pair, inward[i], &best, 0);
+    for (int64_t i = 0; i < 3; i++)
+        consider(pair, between[i], &best, 0);
+    return best;
 }
 
 /* Sort the vertices that may form the lower side from left to right; return their number. */
@@ -501,7 +521,7 @@ static void write_pair(Counts n, const Scene *scene, const Motion *motion, const
 
 /* Find the near pairs of a roll-out and bound their margins.
  *
- *   parts ... lowest_vertices   see `Counts` and `Scene`
+ *   parts ... facing_edges      see `Counts` and `Scene`
  *   radius ... lowest_slope     see `Scene`
  *   scene     see `Scene.packed`: vertices, normals, reach, low, high of the body, outline, edges, lower, upper of the
  *             obstacles, then the numbers of `Rule`
@@ -517,8 +537,8 @@ static void write_pair(Counts n, const Scene *scene, const Motion *motion, const
  * Return p, the number of pairs. */
 int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int64_t k, int64_t nodes,
                                 int64_t intervals, int64_t few, int64_t nearest, int64_t nearest_close,
-                                int64_t together, int64_t lowest_vertices, double radius, double near, double close,
-                                double lowest_slope, const double *scene_arrays, const double *rollout,
+                                int64_t together, int64_t lowest_vertices, int64_t facing_edges, double radius, double near,
+                                double close, double lowest_slope, const double *scene_arrays, const double *rollout,
                                 const double *signs, const int64_t *left, int64_t *pairs, double *out, double *work,
                                 int64_t *indices)
 {
@@ -527,7 +547,7 @@ int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int
     const Rule *rule = (const Rule *)(b + obstacles * (4 * k + 4));
     Scene scene = {a, a + 2 * parts * v, a + 4 * parts * v, a + 5 * parts * v, a + parts * (5 * v + 2),
                    b, b + 2 * obstacles * k, b + 4 * obstacles * k, b + obstacles * (4 * k + 2),
-                   radius, near, close, few, nearest, nearest_close, together, lowest_vertices, lowest_slope};
+                   radius, near, close, few, nearest, nearest_close, together, lowest_vertices, facing_edges, lowest_slope};
     double *cosine = work, *sine = work + nodes;
     Motion motion = {rollout, cosine, sine, rollout + 3 * nodes, out, out + 3 * nodes, rate + intervals, rate, signs,
                      pairs, left};
@@ -566,7 +586,7 @@ int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int
             double x = -normal.x, y = -normal.y;
             inward[j] = (Vector){c * x - s * y, s * x + c * y};
         }
-        Vector axis = refined(&scene, &pair, best_candidate(&pair, inward), points);
+        Vector axis = refined(&scene, &pair, best_candidate(&scene, &pair, inward, points), points);
         write_pair(n, &scene, &motion, &pair, axis, row, (double *)points, out + i, p);
         pairs[i] = row % intervals;
         pairs[p + i] = part;

@@ -184,7 +184,7 @@ def best_separating_axes(
     if inward.x.shape[0] > settings.facing_edges:
         axes, gaps = _stacked(normals, vertex), np.concatenate((of_outline, of_vertices))
         along = inward.along(axes.at(np.argmax(gaps, axis=0)))
-        most = np.argpartition(-along, settings.facing_edges, axis=0)[: settings.facing_edges]
+        most = np.argsort(-along, axis=0, kind="stable")[: settings.facing_edges]  # as in the kernel
         inward = Points(np.take_along_axis(inward.x, most, axis=0), np.take_along_axis(inward.y, most, axis=0))
     axes = _stacked(normals, inward, vertex)
     gaps = np.concatenate((of_outline, _gaps(inward, hull, outline), of_vertices))
