@@ -518,7 +518,14 @@ class _Portfolio:
         return found
 
     def _worth_a_try(self) -> float:
-        return (1.0 - self.least_gain) * self.best.price if self.best is not None else math.inf
+        """Return the `least_price` below which a guess may reduce the price enough.
+
+        A least price does not contain the time that the steering takes at a start with unknown steering angle.
+        """
+        if self.best is None:
+            return math.inf
+        steering = self.problem.robot.limits.steering_time_to(0.0) if self.problem.start_curvature is None else 0.0
+        return (1.0 - self.least_gain) * self.best.price - steering
 
     def _must_go_on(self) -> bool:
         """Whether to continue an interrupted guess without collisions before trying other guesses."""

@@ -103,8 +103,8 @@ class GlobalPlanner(Plugin):
             start: As in `create_plan`.
             goal: As in `create_plan`.
             cancel_checker: As in `create_plan`.
-            better_than: Function that returns the price [s] of the best plan, which is its duration plus its additional
-                costs; inf without a plan.
+            better_than: Function that returns the price [s] that a guess must be able to beat, apart from the time that
+                the steering takes at the start: nearly the price of the best plan; inf without a plan.
 
         Raises:
             PlannerException: If no path is found.

@@ -119,6 +119,20 @@ def test_planner_reads_the_price_to_beat():
     assert 0.8 * plan.price < planner.asked[1] < plan.price
 
 
+def test_price_to_beat_does_not_contain_the_time_for_steering_at_the_start():
+    steered = dataclasses.replace(
+        LIMITS, wheelbase=0.5, max_steering_angle=0.6, max_steering_rate=0.2, max_yaw_acceleration=math.inf
+    )
+    task = problem(robot=dataclasses.replace(ROBOT, limits=steered, drive="ackermann"))
+    planner = Several(raw(task), raw(task))
+    plan = plan_dock(task, time_budget=BUDGET, planner=planner)
+    assert planner.asked[1] == pytest.approx(0.97 * plan.price - 0.6 / 0.2, abs=0.01)
+    known = dataclasses.replace(task, start_curvature=float(plan.path.curvature_at(0.0)[0]))
+    planner = Several(raw(known), raw(known))
+    plan = plan_dock(known, time_budget=BUDGET, planner=planner)
+    assert planner.asked[1] == pytest.approx(0.97 * plan.price, abs=0.01)
+
+
 def test_given_guess_is_tried_first():
     task = problem((3.7, 1.05, 0.0))
     found = plan_dock(task, time_budget=BUDGET)
