@@ -8,6 +8,7 @@ exactly and projected onto the goal if possible. A step is accepted if it lowers
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -198,11 +199,6 @@ def search(
             return
 
 
-def evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None = None) -> Iterate:
-    """Return the projected iterate of `variables`, Shape (size,); `moved` is its change since the iterate `before`."""
-    return (_evaluated if nlp.is_compiled else _evaluated_by_numpy)(nlp, variables, before)
-
-
 def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
     packed, basis, size, nodes = nlp.packed, nlp.basis, nlp.basis.size, nlp.basis.num_nodes
     room, table = packed.room, packed.results + 6 + 4 * nodes
@@ -225,7 +221,9 @@ def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Ite
     return Iterate.of(nlp, values[: table + room.width * p], pairs[: nodes + 3 * p])
 
 
-def _evaluated_by_numpy(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
+@twin_of(_evaluate_natively)
+def _evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
+    """Return the result of `evaluated`, without the required view and terms."""
     settings, knots = nlp.settings.loop, nlp.basis.num_knots
     projected, rollout = project_and_roll_out(nlp, Variables(variables[:knots], variables[knots:]))
     moved, reach = 0.0, settings.reach
@@ -234,45 +232,57 @@ def _evaluated_by_numpy(nlp: NonlinearProgram, variables: FloatArray, before: It
         stretched = np.maximum.reduce(np.abs(projected.lengths - before.variables.lengths))
         moved = max(float(turned), float(stretched))
         reach = min(settings.most_reach, settings.reach_per_motion * moved + settings.least_reach)
-    return judged(nlp, projected, rollout, reach, moved)
+    return _judged(nlp, projected, rollout, reach, moved)
 
 
-_evaluated = twin_of(_evaluate_natively)(_evaluated_by_numpy)
-
-
-def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float, moved: float = 0.0) -> Iterate:
-    """Return the iterate of a roll-out; pairs with more than `reach` [m] above the required clearance are left out."""
-    settings, scene, basis = nlp.settings.loop, nlp.scene, nlp.basis
+def _judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float, moved: float) -> Iterate:
+    """Return the result of `judged`, without the required view and terms."""
+    settings, scene, basis, count = nlp.settings.loop, nlp.scene, nlp.basis, nlp.settings.step.zones
     found = clearance_along(scene, basis, rollout, nlp.ends.signs, reach + scene.rule.required)
-    pairs, count = found.pairs, nlp.settings.step.zones
-    zones = np.zeros(count)
+    pairs, zones = found.pairs, np.zeros(count)
     if found.margin.size:
         # The end poses are given and were checked; the lower bound in the intervals next to them is conservative.
         at_ends = (pairs.interval == 0) | (pairs.interval == basis.num_intervals - 1)
         short = np.where(at_ends, -settings.end_allowance, 0.0) - found.margin
         np.maximum.at(zones, zone_of(basis, basis.left[pairs.interval], count), short)
-    view = None if nlp.view is None else view_along(nlp.view, basis, variables, rollout)
-    if view is not None and view.margin.size:
-        given = (view.node == 0) | (view.node == basis.num_nodes - 1)  # as above
-        unseen = np.where(given, -settings.end_allowance, 0.0) - view.margin.min(axis=0)
-        np.maximum.at(zones, zone_of(basis, view.node, count), unseen)
-    cost = nlp.cost.value(variables, rollout)
-    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, variables, rollout)
-    if terms is not None:
-        terms.short[[0, -1]] -= settings.end_allowance  # as above
-        np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), count), terms.short)
-        cost += terms.cost
     error, required = nlp.ends.error(rollout), found.required
     missed = np.abs(error)
+    cost = nlp.cost.value(variables, rollout)
     results = cost, zones.max(), in_order(zones), in_order(missed), missed.max(), moved
     parts = *variables, rollout.packed, error, zones, np.array(results), required.value, required.gradient
     values = np.concatenate((*parts, required.leaving, found.table), axis=None)
-    return Iterate.of(nlp, values, np.concatenate((required.rule, *pairs)), view, terms)
+    return Iterate.of(nlp, values, np.concatenate((required.rule, *pairs)))
 
 
-def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
-    """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
-    return (_linearized if nlp.is_compiled else _linearized_by_numpy)(nlp, current, buffer)
+def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
+    """Return the iterate of a roll-out; pairs with more than `reach` [m] above the required clearance are left out."""
+    return _with_view_and_terms(_judged(nlp, variables, rollout, reach, 0.0))
+
+
+def evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None = None) -> Iterate:
+    """Return the projected iterate of `variables`, Shape (size,); `moved` is its change since the iterate `before`."""
+    return _with_view_and_terms(_evaluated(nlp, variables, before))
+
+
+def _with_view_and_terms(found: Iterate) -> Iterate:
+    """Return an iterate with the shortfalls of the required view and hard terms, and the costs of soft terms, added."""
+    nlp, basis = found.nlp, found.nlp.basis
+    if nlp.view is None and nlp.terms is None:
+        return found
+    variables, rollout, allowance = found.variables, found.rollout, nlp.settings.loop.end_allowance
+    short, cost, view, terms = np.full(basis.num_nodes, -np.inf), found.cost, None, None
+    if nlp.view is not None:
+        view = view_along(nlp.view, basis, variables, rollout)
+        np.maximum.at(short, view.node, -view.margin.min(axis=0, initial=np.inf))
+    if nlp.terms is not None:
+        terms = terms_along(nlp.terms, basis, variables, rollout)
+        short, cost = np.maximum(short, terms.short), cost + terms.cost
+    short[[0, -1]] -= allowance  # the end poses are given, as in `_judged`
+    end, zones = nlp.packed.results, found.zones
+    if not short.max() <= 0.0:
+        np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
+    found.values[end : end + 3] = cost, zones.max(), in_order(zones)
+    return Iterate.of(nlp, found.values, found.pairs, view, terms)
 
 
 def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
@@ -302,7 +312,9 @@ def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) 
     return Linearization(values[: start + count * (1 + size)], node[:count], basis, trusted)
 
 
-def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
+@twin_of(_linearize_natively)
+def _linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
+    """Return the result of `linearized`, without the required view and terms."""
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     variables = current.variables
     by = sensitivity(basis, variables, rollout)
@@ -311,27 +323,41 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     motion = share * squared_motion(by, settings.yaw_motion)
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
-    rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active)
-    if nlp.view is not None and current.view is not None:
-        seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
-        rows = rows.joined(seeing)
-    quadratic = nlp.cost.quadratic(variables, rollout, by)
-    if nlp.terms is not None and current.terms is not None:
-        points, reach = current.terms.points, nlp.settings.view.reach
-        added, bounded = linearized_terms(nlp.terms, basis, variables, points, by, reach)
-        rows, quadratic = rows.joined(bounded), quadratic.plus(added)
-    rows = rows.lowest(most)
-    # The buffer vanishes at the ends, where the pose cannot move.
-    place, start, target = rollout.poses[rows.node], nlp.ends.start, nlp.ends.target
-    from_start = np.hypot(place[:, 0] - start[0], place[:, 1] - start[1])
-    to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
-    wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / settings.buffer_taper)
-    rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
-    headings = by.yaw[trusted_nodes(basis, settings)]
+    rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active).lowest(most)
+    quadratic, headings = nlp.cost.quadratic(variables, rollout, by), by.yaw[trusted_nodes(basis, settings)]
+    rows = _buffered(nlp, rollout, rows, buffer)
     return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows))
 
 
-_linearized = twin_of(_linearize_natively)(_linearized_by_numpy)
+def _buffered(nlp: NonlinearProgram, rollout: Rollout, rows: ClearanceRows, buffer: float) -> ClearanceRows:
+    """Return rows with a buffer [m], which vanishes at the ends, where the pose cannot move."""
+    place, start, target = rollout.poses[rows.node], nlp.ends.start, nlp.ends.target
+    from_start = np.hypot(place[:, 0] - start[0], place[:, 1] - start[1])
+    to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
+    wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / nlp.settings.step.buffer_taper)
+    return ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
+
+
+def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
+    """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
+    around = _linearized(nlp, current, buffer)
+    if current.view is None and current.terms is None:
+        return around
+    basis, variables, rollout, reach = nlp.basis, current.variables, current.rollout, nlp.settings.view.reach
+    by = functools.cache(lambda: sensitivity(basis, variables, rollout))
+    seeing = bounded = costs = None
+    if nlp.view is not None and current.view is not None:
+        seeing = linearized_view(nlp.view, basis, rollout, by, current.view, reach)
+    if nlp.terms is not None and current.terms is not None:
+        costs, bounded = linearized_terms(nlp.terms, basis, variables, current.terms.points, by, reach)
+    if seeing is None and bounded is None and costs is None:
+        return around
+    parts = around.parts
+    rows, quadratic = parts.rows, parts.quadratic if costs is None else parts.quadratic.plus(costs)
+    for more in (seeing, bounded):
+        rows = rows if more is None else rows.joined(_buffered(nlp, rollout, more, buffer))
+    rows = rows.lowest(nlp.settings.step.clearance_rows[-1])
+    return Linearization.of(basis, parts._replace(quadratic=quadratic, rows=rows))
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:

@@ -114,11 +114,6 @@ class NonlinearProgram:
         """Constants of the program for kernels."""
         return packed(self)
 
-    @cached_property
-    def is_compiled(self) -> bool:
-        """Whether the kernels cover all constraints."""
-        return self.view is None and self.terms is None
-
 
 class Formulation(NamedTuple):
     """Weights, smallest number of spans, and length of a collision interval [m], from the parameters."""

@@ -21,6 +21,8 @@ from smoothers.scp.refusals import Refusal
 from smoothers.scp.term_samples import samples_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.path import Path
     from smoothers.scp.basis import Basis
@@ -98,23 +100,28 @@ def node_shares(basis: Basis) -> FloatArray:
 
 
 def linearized_terms(
-    bound: TermBound, basis: Basis, variables: Variables, points: FloatArray, by: Sensitivity, reach: float
-) -> tuple[Quadratic, ClearanceRows]:
-    """Return the quadratic model of the soft terms, and the rows of the hard terms.
+    bound: TermBound,
+    basis: Basis,
+    variables: Variables,
+    points: FloatArray,
+    by: Callable[[], Sensitivity],
+    reach: float,
+) -> tuple[Quadratic | None, ClearanceRows | None]:
+    """Return the quadratic model of the soft terms, and the rows of the hard terms; None where there is nothing.
 
     Args:
         bound: Terms.
         basis: Basis.
         variables: Variables of the roll-out.
         points: Values of the symbols at the nodes.
-        by: Derivatives of the poses.
+        by: Returns the derivatives of the poses; only called if a term acts.
         reach: Motion of a node [m, rad] within which a hard term must change its sign to have a row.
     """
     terms = bound.terms
     values, slopes = terms.with_slopes(points)
     _require_numbers(terms, points, values)
     values[:, : len(terms.hard)] -= bound.margins
-    count, rows = len(terms.hard), [ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))]
+    count, rows, quadratic = len(terms.hard), list[ClearanceRows](), None
     within = np.array([reach, reach, reach, bound.bend, reach, reach])
     for k in range(count):
         near = np.flatnonzero(values[:, k] < np.abs(slopes[:, :, k]) @ within)
@@ -122,10 +129,9 @@ def linearized_terms(
             continue
         if near.size > _MOST_ROWS:
             near = near[np.argpartition(values[near, k], _MOST_ROWS)[:_MOST_ROWS]]
-        gradient = _by_variables(basis, by, slopes[:, :, k], near)
+        gradient = _by_variables(basis, by(), slopes[:, :, k], near)
         found = ClearanceRows(gradient, values[near, k], near)
         rows.append(found.subset(np.abs(gradient).max(axis=1, initial=0.0) > _FLAT))
-    gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
     share = node_shares(basis)
     for k, weight in enumerate(terms.weights, count):
         residual = values[:, k]
@@ -133,13 +139,14 @@ def linearized_terms(
         if not used.size:
             continue
         scale = 2.0 * weight * share[used] * variables.lengths[basis.node_gear[used]]
-        moved = _by_variables(basis, by, slopes[:, :, k], used)
-        gradient += (scale * residual[used]) @ moved
-        hessian += moved.T @ (scale[:, None] * moved)
-        longer = weight * share * residual**2
-        gradient[basis.num_knots :] += np.bincount(basis.node_gear, longer, minlength=basis.num_gears)
-    joined = ClearanceRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True)))
-    return Quadratic(gradient, hessian), joined
+        moved = _by_variables(basis, by(), slopes[:, :, k], used)
+        longer = np.bincount(basis.node_gear, weight * share * residual**2, minlength=basis.num_gears)
+        gradient = (scale * residual[used]) @ moved
+        gradient[basis.num_knots :] += longer
+        added = Quadratic(gradient, moved.T @ (scale[:, None] * moved))
+        quadratic = added if quadratic is None else quadratic.plus(added)
+    joined = ClearanceRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True))) if rows else None
+    return quadratic, joined
 
 
 def tightened(bound: TermBound, points: FloatArray, path: Path) -> TermBound:

@@ -18,6 +18,8 @@ import numpy as np
 from smoothers.scp.collision.linearization import ClearanceRows
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.camera import RequiredView
     from optdock.model.problem import DockingProblem
@@ -63,11 +65,13 @@ def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Ro
 
 
 def linearized_view(
-    bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces, reach: float
-) -> ClearanceRows:
-    """Return the constraint rows of the margins below `reach` [m]."""
+    bound: ViewBound, basis: Basis, rollout: Rollout, by: Callable[[], Sensitivity], places: SeenPlaces, reach: float
+) -> ClearanceRows | None:
+    """Return the constraint rows of the margins below `reach` [m], or None if there are none; `by` as for terms."""
     edge, place = np.nonzero(places.margin < reach)
-    by_place = _sensitivity(bound, basis, rollout, by, places)
+    if not edge.size:
+        return None
+    by_place = _sensitivity(bound, basis, rollout, by(), places)
     cosine, sine = np.cos(places.poses[place, 2]), np.sin(places.poses[place, 2])
     normal, seen = places.normals[edge, place], places.seen[place]
     # d seen / d x = (-cos, sin), d seen / d y = (-sin, -cos), d seen / d yaw = (y, -x)

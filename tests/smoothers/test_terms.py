@@ -1,6 +1,7 @@
 """Terms as expressions: their symbols, errors, derivatives, and the symbolic program as the oracle of the search."""
 
 import dataclasses
+import functools
 import math
 import pickle
 import threading
@@ -101,7 +102,10 @@ def test_rows_and_gradients_are_those_of_differences(cases, seed):
         return bound.terms.values(points)[:, :3], terms_along(bound, basis, moved, rollout).cost
 
     flat, rollout = np.concatenate(variables), roll_out(basis, variables, start, signs)
-    by, points = sensitivity(basis, variables, rollout), term_points(bound, basis, variables, rollout)
+    points, by = (
+        term_points(bound, basis, variables, rollout),
+        functools.partial(sensitivity, basis, variables, rollout),
+    )
     quadratic, rows = linearized_terms(bound, basis, variables, points, by, 1e9)
     hard, soft = [], []
     for shift in STEP * np.eye(flat.size):
@@ -180,18 +184,18 @@ def test_the_whole_program_is_the_symbolic_one(cases, which, monkeypatch):
         variables = Variables(bends, guess.lengths * rng.uniform(0.9, 1.1, basis.num_gears))
         value, error, rate, hard, gradient, by_goal, by_rate, by_terms = oracle(variables)
         rollout = roll_out(basis, variables, nlp.ends.start, nlp.ends.signs)
-        iterate, by = judged(nlp, variables, rollout, 0.1), sensitivity(basis, variables, rollout)
+        iterate, by = judged(nlp, variables, rollout, 0.1), functools.partial(sensitivity, basis, variables, rollout)
         assert iterate.cost == pytest.approx(value.item(), rel=1e-11)
         assert iterate.end_error == pytest.approx(error.ravel(), abs=1e-9)
         added, rows = linearized_terms(nlp.terms, basis, variables, iterate.terms.points, by, 1e9)
-        quadratic = nlp.cost.quadratic(variables, rollout, by).plus(added)
+        quadratic = nlp.cost.quadratic(variables, rollout, by()).plus(added)
         assert quadratic.gradient == pytest.approx(gradient.ravel(), rel=1e-9, abs=1e-9)
         goal = end_sensitivity(basis, variables, rollout.moves), iterate.end_error
         assert goal[0] == pytest.approx(by_goal, abs=1e-9)
         kept = np.flatnonzero(np.abs(by_terms).max(axis=1) > 1e-9)
         assert rows.gap == pytest.approx(hard.ravel()[kept], abs=1e-9)
         assert rows.gradient == pytest.approx(by_terms[kept], abs=1e-9)
-        headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
+        headings = by().yaw[trusted_nodes(basis, nlp.settings.step)]
         parts = Subproblem(variables, quadratic, np.eye(basis.size), goal, headings, rows.lowest(400))
         around = Linearization.of(basis, parts)
         made, limits = rate_rows_of_the_step(nlp, around)

@@ -1,6 +1,7 @@
 """The view of the dock in the smoother: its margins and rows, what it mends, and what it refuses."""
 
 import dataclasses
+import functools
 import itertools
 import math
 
@@ -82,7 +83,8 @@ def test_rows_are_the_derivatives_of_the_margins(driven):
     # Without what is lost between nodes, and without the limit of reach: every margin by itself.
     edges = bound.view.camera.margins(bound.view.camera.points_seen(found.poses, bound.view.marker))
     bare = found._replace(margin=np.minimum(found.margin, 0.0))
-    rows = linearized_view(bound, basis, rollout, sensitivity(basis, variables, rollout), bare, 0.35)
+    by = functools.partial(sensitivity, basis, variables, rollout)
+    rows = linearized_view(bound, basis, rollout, by, bare, 0.35)
     assert np.isfinite(edges.smallest).all()
     flat, step = np.concatenate(variables), 1e-6
     columns = []
