@@ -173,7 +173,7 @@ class Deadline:
     (False, True)
     """
 
-    __slots__ = ("_began", "_clock", "_stop", "seconds")
+    __slots__ = ("_began", "_stop", "clock", "seconds")
 
     def __init__(
         self,
@@ -183,8 +183,8 @@ class Deadline:
     ) -> None:
         self.seconds = seconds
         self._stop = None if stop is never_late else _Latch(stop)
-        self._clock = _OfProcess.clock.read if clock is now else clock
-        self._began = self._clock()
+        self.clock = _OfProcess.clock.read if clock is now else clock
+        self._began = self.clock()
 
     @classmethod
     def of_allowance(cls, seconds: float, clock: Callable[[], float] = now) -> Deadline:
@@ -194,25 +194,20 @@ class Deadline:
     @property
     def elapsed(self) -> float:
         """Seconds since construction."""
-        return self._clock() - self._began
+        return self.clock() - self._began
 
     @property
     def left(self) -> float:
         """Remaining seconds; negative after the deadline."""
-        return self.seconds - (self._clock() - self._began)
+        return self.seconds - (self.clock() - self._began)
 
     def fits(self, seconds: float) -> bool:
         """Whether work of this duration ends before the deadline."""
-        return self._clock() - self._began + seconds <= self.seconds
+        return self.clock() - self._began + seconds <= self.seconds
 
     def passed(self) -> bool:
         """Whether no time remains; usable as a `cancel_checker` or `is_late`."""
-        return self._clock() - self._began >= self.seconds or (self._stop is not None and self._stop())
-
-    @property
-    def is_wall(self) -> bool:
-        """Whether the clock measures real time."""
-        return self._clock is time.monotonic
+        return self.clock() - self._began >= self.seconds or (self._stop is not None and self._stop())
 
     @property
     def stopped(self) -> bool:
@@ -232,7 +227,7 @@ class Deadline:
         """Return a deadline with the same start, `by` seconds earlier and at most `at_most` seconds after the start."""
         earlier = object.__new__(type(self))
         earlier.seconds, earlier._began = min(self.seconds - by, at_most), self._began
-        earlier._clock, earlier._stop = self._clock, self._stop
+        earlier.clock, earlier._stop = self.clock, self._stop
         return earlier
 
 
@@ -246,16 +241,16 @@ class Stopwatch:
     processes, and the latter may be coarse. On every other clock all time is work.
     """
 
-    __slots__ = ("_began", "_deadline", "_worked")
+    __slots__ = ("_began", "_clock", "_worked")
 
     def __init__(self, deadline: Deadline) -> None:
-        self._deadline, self._began = deadline, deadline.elapsed
-        self._worked = time.thread_time() if deadline.is_wall else 0.0
+        self._clock = clock = deadline.clock
+        self._began, self._worked = clock(), time.thread_time() if clock is time.monotonic else 0.0
 
     def read(self) -> tuple[float, float]:
         """Return the elapsed time and the part of it that was work [s]."""
-        took = self._deadline.elapsed - self._began
-        return took, min(took, time.thread_time() - self._worked) if self._deadline.is_wall else took
+        took = self._clock() - self._began
+        return took, min(took, time.thread_time() - self._worked) if self._clock is time.monotonic else took
 
 
 @contextlib.contextmanager

@@ -192,9 +192,7 @@ class Refinement:
             path = plain(result.path, self.smoother, self.problem.frame)
             if kept > 0.0:
                 path = begun_straight(self.problem.start, int(raw.segments[0].direction), kept, path)
-        plan = self.proven(raw, path, so_far)
-        report = replace(result.report, sampled=plan.smoothing_report.sampled)
-        return replace(plan, completed=result.completed, smoothing_report=report)
+        return self.proven(raw, path, so_far, smoothed=result)
 
     def deformed(  # noqa: PLR0913 - as `deformation.deformed`
         self,
@@ -255,12 +253,20 @@ class Refinement:
             longest = max(longest, self.deadline.elapsed - began)
         return path, certificate
 
-    def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
-        """Return the certified plan along a path that needs no smoothing; other arguments are as in `refined`.
+    def proven(
+        self,
+        raw: Path,
+        path: Path,
+        so_far: PartialPlan,
+        is_late: Callable[[], bool] | None = None,
+        smoothed: SmoothingResult | None = None,
+    ) -> DockPlan:
+        """Return the certified plan along a path that needs no more smoothing; other arguments are as in `refined`.
 
         Every path must satisfy the smoother's own bounds at samples, whether the smoother made it or not.
 
-        `is_late` is polled during the certificate of the path; `asked_to_stop` by default.
+        `is_late` is polled during the certificate of the path; `asked_to_stop` by default. `smoothed`: result of the
+        smoother, or None for a path from another source.
 
         Raises:
             OptdockError: As `refined`.
@@ -274,7 +280,9 @@ class Refinement:
             if broken is not None:
                 raise broken.failure(path)
         motion, report = self._certified_motion(path)
-        return DockPlan(motion, raw, smoothing_report=SmoothingReport(sampled=sampled), timing_report=report)
+        done, completed = (SmoothingReport(), True) if smoothed is None else (smoothed.report, smoothed.completed)
+        done = done if done.sampled == sampled else replace(done, sampled=sampled)
+        return DockPlan(motion, raw, completed, smoothing_report=done, timing_report=report)
 
     def _smoothed(
         self, raw: Path, kept: float, most: float, so_far: PartialPlan, begun: Path | None, *, is_given: bool
@@ -347,9 +355,12 @@ class Refinement:
             )
         trajectory = Trajectory(path, trajectory.time_law)
         with self.timed("certify"):
-            proof = certify_motion(trajectory, self.problem, is_late=self.asked_to_stop)
-            self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
-            return prove_motion(trajectory, self.problem, is_late=self.asked_to_stop), result.report
+            try:
+                return prove_motion(trajectory, self.problem, is_late=self.asked_to_stop), result.report
+            except CertificationFailed:
+                proof = certify_motion(trajectory, self.problem, is_late=self.asked_to_stop)
+                self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
+                raise
 
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
