@@ -246,8 +246,8 @@ class CasadiSmoother(Smoother):
         earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
         formulation = Formulation(weights, chosen.spans, chosen.interval)
         path = path.with_frame(problem.frame)
-        call = Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
-        return call._replace(terms=self._terms)
+        most, first_only = chosen.max_iterations, chosen.stop_at_first
+        return Call(path, problem, earlier, formulation, most, first_only, terms=self._terms)
 
     def warm_up(self) -> None:
         """Build the programs that a first call needs, load the solvers, and measure the speed of this machine."""

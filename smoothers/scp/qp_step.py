@@ -116,13 +116,17 @@ def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
     return np.minimum(zones - 1, node * zones // basis.num_nodes)
 
 
-@lru_cache(maxsize=16)  # as many as bases
 def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
     """Return nodes spaced evenly over the path, whose headings are bounded by the trust region.
 
     Twelve nodes are enough for 24 spans. With more spans, curvatures oscillate unless there is one node per span.
     """
-    return readonly(np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64))
+    return _spaced_nodes(basis.num_nodes, _trust_rows(basis, settings))
+
+
+@lru_cache(maxsize=16)  # as many as bases
+def _spaced_nodes(nodes: int, count: int) -> IntArray:
+    return readonly(np.linspace(1, nodes - 1, count).astype(np.int64))
 
 
 def _trust_rows(basis: Basis, settings: StepSettings) -> int:
