@@ -400,9 +400,10 @@ def track(
         if trial.merit >= current.merit:
             trust_region *= settings.trust_cut
             continue
-        gain, current, around = current.merit - trial.merit, trial, None
+        current, around = trial, None
         trust_region = min(settings.trust_growth * trust_region, settings.most_trust)
-        if gain < settings.small_gain * current.merit or largest_deviation(nlp, current.rollout) < settings.near:
+        is_small = step.gain < settings.small_gain * current.merit
+        if is_small or largest_deviation(nlp, current.rollout) < settings.near:
             break
     return Variables(current.variables[:knots], current.variables[knots:])
 

@@ -199,17 +199,12 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
     if shape == nlp.basis.shape:
         return nlp
     old, basis = nlp.basis, basis_for(shape, nlp.settings.resolution.fit_smoothing)
-    # Fractional index of every new node among the old ones, by the share of its gear's length.
-    node = np.concatenate(
-        [
-            np.interp(basis.fraction[basis.node_gear == m], old.fraction[own], np.flatnonzero(own))
-            for m, own in enumerate(old.node_gear == m for m in range(basis.num_gears))
-        ]
-    )
-    known = np.arange(old.num_nodes)
-    positions, normals = (
-        np.column_stack([np.interp(node, known, column) for column in values.T]) for values in nlp.cost.reference
-    )
+    # Fractional index of every new node among the old ones, which are evenly spaced in every gear.
+    old_cells = old.divisions[:, 1]
+    node = (old.last_nodes - old_cells)[basis.node_gear] + basis.fraction * old_cells[basis.node_gear]
+    before = node.astype(np.int64)
+    after, share = np.minimum(before + 1, old.num_nodes - 1), (node - before)[:, None]
+    positions, normals = (values[before] + share * (values[after] - values[before]) for values in nlp.cost.reference)
     middles = 0.5 * (node[basis.left] + node[basis.left + 1])
     headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
     traced = TracedInput(positions, headings, nlp.traced.end_yaw)
