@@ -24,6 +24,7 @@ from smoothers.scp.qp_step import (
     Penalties,
     QpStep,
     Subproblem,
+    linearize_and_solve_natively,
     pool_of_this_thread,
     solve_step,
     trusted_nodes,
@@ -44,10 +45,9 @@ if TYPE_CHECKING:
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
-__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized", "search"]
+__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized_step", "search"]
 
 _EVALUATE = Kernel("optdock_evaluate", sizes=1, numbers=0)
-_LINEARIZE = Kernel("optdock_linearize", sizes=1, numbers=1)
 
 
 class SearchGuess(NamedTuple):
@@ -178,12 +178,13 @@ def search(
     yield Progress(current, 0, finished=False)
     around: Linearization | None = None
     for iteration in range(1, max_iterations + 1):
+        bounds = pool, state.trust_region, state.proximal, state.penalties
         if around is None:
             state.found = state.found or current.feasible
-            around = linearized(nlp, current, nlp.settings.step.buffer + state.overshoot(current))
-            if is_late():
-                return
-        step = solve_step(nlp, around, pool, state.trust_region, state.proximal, state.penalties)
+            buffer = nlp.settings.step.buffer + state.overshoot(current)
+            around, step = linearized_step(current, buffer, *bounds)
+        else:
+            step = solve_step(nlp, around, *bounds)
         if is_late():
             return
         finished = current.feasible and step is not None and step.gain < state.settings.small_gain * current.cost
@@ -270,39 +271,39 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
     return Iterate.of(nlp, values, np.concatenate((required.rule, *pairs)), view, terms)
 
 
-def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
-    """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
-    return (_linearized if nlp.is_compiled else _linearized_by_numpy)(nlp, current, buffer)
+def linearized_step(
+    current: Iterate,
+    buffer: float,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> tuple[Linearization, QpStep | None]:
+    """Return the linearization at an iterate, with a buffer [m] added to the required clearance, and its best step.
+
+    The other arguments are those of `solve_step`.
+    """
+    stepped = _stepped if current.nlp.is_compiled else _stepped_by_numpy
+    return stepped(current, buffer, pool, trust_region, proximal, penalties)
 
 
-def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
-    packed, basis, scene, size, nodes = nlp.packed, nlp.basis, nlp.scene, nlp.basis.size, nlp.basis.num_nodes
-    room, trusted, most = packed.room, packed.trusted, nlp.settings.step.clearance_rows[-1]
-    p, parts, obstacles = (current.pairs.size - nodes) // 3, len(scene.body.vertices), len(scene.obstacles.vertices)
-    rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
-    start = size * (2 * size + 5 + trusted) + 3
-    node, values = np.empty(most, dtype=np.int64), np.empty(start + most * (1 + size))
-    work, indices = pool_of_this_thread().work(
-        size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width,
-        15 * p + (parts + nodes) * obstacles + 2 * rows,
-    )
-    arrays = (
-        (packed.counts, packed.counts.size),
-        (packed.numbers, packed.numbers.size),
-        (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
-        (scene.packed, room.scene),
-        (current.values, packed.results + 6 + 4 * nodes + room.width * p),
-        (current.pairs, nodes + 3 * p),
-        (node, most),
-        (values, values.size),
-        (indices, indices.size),
-        (work, work.size),
-    )
-    count = _LINEARIZE((p,), (buffer,), arrays)
-    return Linearization(values[: start + count * (1 + size)], node[:count], basis, trusted)
+def _stepped_by_numpy(
+    current: Iterate,
+    buffer: float,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> tuple[Linearization, QpStep | None]:
+    around = _linearized(current, buffer)
+    return around, solve_step(current.nlp, around, pool, trust_region, proximal, penalties)
 
 
-def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
+_stepped = twin_of(linearize_and_solve_natively)(_stepped_by_numpy)
+
+
+def _linearized(current: Iterate, buffer: float) -> Linearization:
+    nlp = current.nlp
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     variables = current.variables
     by = sensitivity(basis, variables, rollout)
@@ -329,9 +330,6 @@ def _linearized_by_numpy(nlp: NonlinearProgram, current: Iterate, buffer: float)
     rows = ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
     headings = by.yaw[trusted_nodes(basis, settings)]
     return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows))
-
-
-_linearized = twin_of(_linearize_natively)(_linearized_by_numpy)
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:

@@ -26,6 +26,8 @@ class PackedProgram(NamedTuple):
     room: Room  # sizes of the arrays of the kernel for clearance
     results: int  # index of the cost in `Iterate.values`
     trusted: int  # number of headings that the trust region bounds
+    columns: int  # variables of a step: knots, gears and slacks
+    rows: int  # constraints of a step before those of clearance
 
 
 def packed(nlp: NonlinearProgram) -> PackedProgram:
@@ -51,7 +53,9 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     )
     numbers = np.concatenate((_numbers(nlp), *_arrays(nlp)), axis=None)
     results = basis.size + 4 * basis.num_nodes + 6 * basis.num_intervals + 3 + step.zones
-    return PackedProgram(readonly(counts), readonly(numbers), Room.of(scene, basis), results, trusted.size)
+    columns, rows = basis.size + 6 + step.zones, 3 + trusted.size + (2 * basis.span_gear.size if is_limited else 0)
+    room = Room.of(scene, basis)
+    return PackedProgram(readonly(counts), readonly(numbers), room, results, trusted.size, columns, rows)
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:

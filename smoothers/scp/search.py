@@ -270,8 +270,10 @@ class IterationTimes:
 
     def measured(self, seconds: float) -> None:
         """Update the predictions with the measured time of an iteration [s]."""
-        self.pace = min(self.pace, seconds / self._expected)
-        self.iteration = max(self._settings.longest_fades * self.iteration, seconds)
+        fading = self._settings.longest_fades * self.iteration
+        self.iteration = seconds if seconds > fading else fading
+        if seconds < self.pace * self._expected:
+            self.pace = seconds / self._expected
         if not self._certificate_was_measured:
             self.certificate = max(self.certificate, self._settings.certificate_per_iteration * self.iteration)
 
@@ -486,7 +488,9 @@ class Solver:
                 raise SmootherCancelled("the smoother was cancelled")
             self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
             self.outcome.iterations += progress.iterations > 0
-            self._consider(progress.iterate)
+            rival = self._candidate or self.outcome.incumbent
+            if progress.iterate.feasible and (rival is None or progress.iterate.cost < rival.cost):
+                self._candidate = progress.iterate
             if progress.is_stuck and self._candidate is None and self._is_nearly_feasible(nlp):
                 self._settle(nlp, progress.iterate)
                 self.outcome.converged = self.outcome.incumbent is not None
@@ -495,28 +499,23 @@ class Solver:
             elapsed = self.deadline.elapsed
             if progress.iterations > 0:
                 self.times.measured(elapsed - before)
-            if self._enough(nlp):
+            if self._enough(nlp, elapsed):
                 return
             before = elapsed
 
-    def _must_settle(self, seconds: float = 0.0) -> bool:
+    def _must_settle(self, seconds: float = 0.0, elapsed: float | None = None) -> bool:
         """Whether no time is left for this work [s] besides that for the certificate of a candidate, if it is due.
 
-        With an incumbent, a certificate is due for a path that is better.
+        With an incumbent, a certificate is due for a path that is better. `elapsed`: the time of the call [s], or None.
         """
         if self._candidate is not None or self.outcome.incumbent is not None:
             seconds += self.settings.anytime.certificate_reserve * self.times.certificate + self.times.margin
-        return not self.deadline.fits(seconds)
+        return (self.deadline.elapsed if elapsed is None else elapsed) + seconds > self.deadline.seconds
 
-    def _consider(self, iterate: Iterate) -> None:
-        rival = self._candidate or self.outcome.incumbent
-        if iterate.feasible and (rival is None or iterate.cost < rival.cost):
-            self._candidate = iterate
-
-    def _enough(self, nlp: NonlinearProgram) -> bool:
-        """Certify the candidate when little time remains, and return whether to stop."""
+    def _enough(self, nlp: NonlinearProgram, elapsed: float) -> bool:
+        """Certify the candidate when little time remains, `elapsed` [s] after the start; return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
-        short = self._must_settle(step)
+        short = self._must_settle(step, elapsed)
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
