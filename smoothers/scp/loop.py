@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
-__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized_step", "search"]
+__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized", "linearized_step", "search"]
 
 _EVALUATE = Kernel("optdock_evaluate", sizes=1, numbers=0)
 
@@ -295,14 +295,15 @@ def _stepped_by_numpy(
     proximal: float,
     penalties: Penalties,
 ) -> tuple[Linearization, QpStep | None]:
-    around = _linearized(current, buffer)
+    around = linearized(current, buffer)
     return around, solve_step(current.nlp, around, pool, trust_region, proximal, penalties)
 
 
 _stepped = twin_of(linearize_and_solve_natively)(_stepped_by_numpy)
 
 
-def _linearized(current: Iterate, buffer: float) -> Linearization:
+def linearized(current: Iterate, buffer: float) -> Linearization:
+    """Return the linearization at an iterate by NumPy, with a buffer [m] added to the required clearance."""
     nlp = current.nlp
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     variables = current.variables

@@ -575,7 +575,7 @@ static Model model_of(const Program *p, double *values)
  *   values       array of the iterate, see `Iterate.values`
  *   pairs        see `optdock_clearance_along`
  *   node         out, (most,), nodes of the rows
- *   out          out, see `Linearization.values`, with space for `most` rows
+ *   out          out, see `Linearization.values`, with space for all rows, at most `most`
  *   ints         work: 3 p + (parts + nodes) obstacles + 2 room + 12 p, room = (3 + 2 discs_per_node) p
  *   work         3 nodes size + 4 size + room (size + 2) + 3 discs + 9 p + 4 (2 v + k)
  *
@@ -743,7 +743,7 @@ int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds
  *
  *   pairs, guessed ... guess   see `optdock_linearize` and `optdock_step`
  *   node         out, (most + 1,), nodes of the rows; the last element is the number of rows
- *   model        out, see `Linearization.values`, with space for `most` rows
+ *   model        out, see `Linearization.values`, with space for all rows, at most `most`
  *   ints, doubles   out and work, see `optdock_step` for `most` rows; at least as large as those of `optdock_linearize`
  *
  * Return the result of `optdock_step`. */

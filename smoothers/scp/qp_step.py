@@ -231,7 +231,7 @@ def linearize_and_solve_natively(
     p, parts, obstacles = (current.pairs.size - nodes) // 3, len(scene.body.vertices), len(scene.obstacles.vertices)
     rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
     start = size * (2 * size + 5 + packed.trusted) + 3
-    node, values = np.empty(most + 1, dtype=np.int64), np.empty(start + most * (1 + size))
+    node, values = np.empty(most + 1, dtype=np.int64), np.empty(start + min(most, rows) * (1 + size))
     guess, last = _guess(pool.latest, nlp, None, packed.columns, packed.rows)
     numbers, integers = _room(packed, most, guess.size)
     work, indices = pool.work(
