@@ -208,7 +208,7 @@ def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Ite
     packed, basis, size, nodes = nlp.packed, nlp.basis, nlp.basis.size, nlp.basis.num_nodes
     room, table = packed.room, packed.results + 6 + 4 * nodes
     pairs, values = np.empty(nodes + 3 * room.pairs, dtype=np.int64), np.empty(table + room.width * room.pairs)
-    work, indices = pool_of_this_thread().work(max(room.work, 12 * size + packed.results), room.indices)
+    work, indices = pool_of_this_thread().work(packed.work, room.indices)
     earlier = variables if before is None else before.values
     arrays = (
         (packed.counts, packed.counts.size),

@@ -243,7 +243,6 @@ class _NodesOfGears(NamedTuple):
     """Indices of nodes and intervals that depend only on the basis."""
 
     shares: tuple[FloatArray, ...]  # per gear, `Basis.fraction` of its nodes
-    right: IntArray  # node at which each interval ends
     inner: IntArray  # nodes between two intervals of one gear
     last: IntArray  # last interval of each gear
 
@@ -252,25 +251,24 @@ class _NodesOfGears(NamedTuple):
 def _nodes_of_gears(basis: Basis) -> _NodesOfGears:
     shares = tuple(basis.fraction[basis.node_gear == m] for m in range(basis.num_gears))
     inner = basis.left[basis.fraction[basis.left] > 0.0]
-    return frozen(_NodesOfGears(shares, basis.left + 1, inner, basis.last_nodes - np.arange(basis.num_gears) - 1))
+    return frozen(_NodesOfGears(shares, inner, basis.last_nodes - np.arange(basis.num_gears) - 1))
 
 
 def trace(path: Path, basis: Basis, lengths: FloatArray, signs: FloatArray, start_yaw: float) -> TracedInput:
     """Return the input at the nodes of `basis`; headings are directions of chords in the gears `signs`, not yaws."""
-    indices, left, yaws = _nodes_of_gears(basis), basis.left, np.empty(basis.num_nodes + 1)
+    shares, left, yaws = _nodes_of_gears(basis).shares, basis.left, np.empty(basis.num_nodes + 1)
     poses = [
         segment.poses_at(share * min(length, segment.length))
-        for segment, share, length in zip(path.segments, indices.shares, lengths.tolist(), strict=True)
+        for segment, share, length in zip(path.segments, shares, lengths.tolist(), strict=True)
     ]
     nodes = poses[0] if len(poses) == 1 else np.concatenate(poses)
     yaws[0], yaws[1:] = start_yaw, nodes[:, 2]
     node_yaw = unwrap_yaw(yaws)[1:]
-    chord = nodes[indices.right, :2] - nodes[left, :2]
+    dx, dy, _ = (nodes[1:] - nodes[:-1])[left].T
     sign = signs[basis.interval_gear]
-    direction = np.arctan2(sign * chord[:, 1], sign * chord[:, 0])
-    yaw = 0.5 * (node_yaw[left] + node_yaw[indices.right])
-    turned = wrap_angles(direction - yaw)
-    turned[np.hypot(chord[:, 0], chord[:, 1]) <= 1e-6] = 0.0
+    yaw = (0.5 * (node_yaw[:-1] + node_yaw[1:]))[left]
+    turned = wrap_angles(np.arctan2(sign * dy, sign * dx) - yaw)
+    turned[np.hypot(dx, dy) <= 1e-6] = 0.0
     return TracedInput(nodes[:, :2], yaw + turned, float(node_yaw[-1]))
 
 

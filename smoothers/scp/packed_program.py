@@ -25,6 +25,7 @@ class PackedProgram(NamedTuple):
     numbers: FloatArray  # in the order of `Numbers` and `Program`, Shape (any,)
     room: Room  # sizes of the arrays of the kernel for clearance
     results: int  # index of the cost in `Iterate.values`
+    work: int  # numbers that an evaluation needs
     trusted: int  # number of headings that the trust region bounds
     columns: int  # variables of a step: knots, gears and slacks
     rows: int  # constraints of a step before those of clearance
@@ -55,7 +56,8 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     results = basis.size + 4 * basis.num_nodes + 6 * basis.num_intervals + 3 + step.zones
     columns, rows = basis.size + 6 + step.zones, 3 + trusted.size + (2 * basis.span_gear.size if is_limited else 0)
     room = Room.of(scene, basis)
-    return PackedProgram(readonly(counts), readonly(numbers), room, results, trusted.size, columns, rows)
+    work = max(room.work, 12 * basis.size + results)
+    return PackedProgram(readonly(counts), readonly(numbers), room, results, work, trusted.size, columns, rows)
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:

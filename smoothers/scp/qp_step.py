@@ -228,7 +228,8 @@ def linearize_and_solve_natively(
     nlp, basis, scene = current.nlp, current.nlp.basis, current.nlp.scene
     packed, size, nodes = nlp.packed, basis.size, basis.num_nodes
     room, most = packed.room, nlp.settings.step.clearance_rows[-1]
-    p, parts, obstacles = (current.pairs.size - nodes) // 3, len(scene.body.vertices), len(scene.obstacles.vertices)
+    parts, obstacles = scene.body.vertices.shape[0], scene.obstacles.vertices.shape[0]
+    p = (current.pairs.size - nodes) // 3
     rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
     start = size * (2 * size + 5 + packed.trusted) + 3
     node, values = np.empty(most + 1, dtype=np.int64), np.empty(start + min(most, rows) * (1 + size))

@@ -397,7 +397,6 @@ class Solver:
             refusal = refuse_terms_at_ends(path, problem, call.terms, call.after if is_last else None)
         if refusal is not None:
             raise refusal.error()
-        self._raise_if_late()
         positions = enclosing_positions(path, resolution.input_samples)
         scene = scene_around(whole, positions, start_clearance, self.settings.collision)
         many = len(scene.obstacles.vertices) > resolution.many_obstacles
