@@ -188,7 +188,7 @@ def search(
         if is_late():
             return
         finished = current.feasible and step is not None and step.gain < state.settings.small_gain * current.cost
-        better = None if finished else _improved(nlp, current, step, state)
+        better = None if finished else _improved(current, around, step, state)
         if better is not None:
             finished = state.has_settled(current, better)
             current, around = better, None
@@ -333,16 +333,26 @@ def linearized(current: Iterate, buffer: float) -> Linearization:
     return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows))
 
 
-def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:
-    """Return the iterate after a step if its merit is lower, else None; adapt trust region and proximal weight."""
+def _improved(current: Iterate, around: Linearization, step: QpStep | None, state: _State) -> Iterate | None:
+    """Return the iterate after a step if its merit is lower, else None; adapt trust region and proximal weight.
+
+    If a step from a feasible iterate lowers the cost but violates bounds, which are linear only to first order, their
+    rows are corrected once by these violations instead ([Nocedal2006] ch. 18.3).
+    """
     if step is None:
         state.reject(state.trust_region)
         return None
+    nlp, settings = current.nlp, state.settings
     trial = evaluated(nlp, current.flat + step.change, current)
     if trial.merit(state.penalties) < current.merit(state.penalties):
         state.accept()
         return trial
-    state.reject(trial.moved)
+    is_short = trial.on_goal and not trial.feasible and trial.cost < current.cost
+    if is_short and current.feasible and state.rejections == 0:
+        around.tighten(settings.corrected * trial.zones)
+        state.rejections = 1
+    else:
+        state.reject(trial.moved)
     return None
 
 

@@ -175,6 +175,11 @@ class Linearization(NamedTuple):
         size = self.basis.size
         return size * (2 * size + 5 + self.trusted) + 3
 
+    def tighten(self, shortfalls: FloatArray) -> None:
+        """Require more clearance in all rows of each zone, Shape (zones,) [m]."""
+        rows = self.values[self.start :].reshape(-1, 1 + self.basis.size)
+        rows[:, 0] -= shortfalls[zone_of(self.basis, self.node, shortfalls.size)]
+
     @property
     def parts(self) -> Subproblem:
         """The parts, as views."""
