@@ -123,7 +123,7 @@ class TrackingSettings:
     most_steps: int = 20  # on long paths; usually five
     most_intervals: int = 3  # per span, enough for positions
     # Predicted gain, of the merit, that ends the iteration. The error at the goal does not count: searches project it.
-    small_gain: float = 0.1
+    small_gain: float = 0.05
     near: float = 0.02  # [m]: largest distance that ends the iteration
 
 
