@@ -246,8 +246,8 @@ class CasadiSmoother(Smoother):
         earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
         formulation = Formulation(weights, chosen.spans, chosen.interval)
         path = path.with_frame(problem.frame)
-        call = Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
-        return call._replace(terms=self._terms)
+        most, first_only = chosen.max_iterations, chosen.stop_at_first
+        return Call(path, problem, earlier, formulation, most, first_only, terms=self._terms)
 
     def warm_up(self) -> None:
         """Build the programs that a first call needs, load the solvers, and measure the speed of this machine."""
@@ -296,10 +296,12 @@ class CasadiSmoother(Smoother):
 
 def _check_way(path: Path, problem: DockingProblem) -> None:
     """Raise InvalidPath if a path is too far from the start or the goal of the problem."""
+    off, off_start = path.end.distance_to(problem.goal), path.start.distance_to(problem.start)
+    if off <= _ELSEWHERE and off_start <= _ELSEWHERE:
+        return
     allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.driven)
-    off = path.end.distance_to(problem.goal)
     what = f"ends {off:.2f} m from the goal"
-    if off <= allowed and path.start.distance_to(problem.start) > allowed:
+    if off <= allowed < off_start:
         points = path.sample(_SPACING).poses[:, :2]
         off = float(np.hypot(*(points - problem.start.as_array()[:2]).T).min())
         what = f"stays at least {off:.2f} m from the start"

@@ -8,13 +8,14 @@ is built only once per shape.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import accumulate
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import FrozenArrays, frozen, product_of_columns, readonly
+from optdock.geometry.lazy import cached_property
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 if TYPE_CHECKING:

@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import product_of_columns
+from optdock.geometry.lazy import cached_property
 from smoothers.scp.rollout import in_order, squared
 
 if TYPE_CHECKING:

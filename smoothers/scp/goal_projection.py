@@ -227,18 +227,16 @@ def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> 
 def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float, frame: str = "") -> Path:
     """Return the path of clothoid splines and the final straight, whose end is the goal except for rounding (S20)."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
-    target = ends.target
-    back = float(ends.signs[-1]) * final_straight
-    goal = target + back * np.array([np.cos(target[2]), np.sin(target[2]), 0.0])
+    (x, y, yaw), back = ends.target.tolist(), float(ends.signs[-1]) * final_straight
+    c, s = np.cos(yaw), np.sin(yaw)
     variables = onto_goal(basis, variables, ends, nlp.bounds, settings.of_exact_path)
     splines = _chained(basis, variables, ends, final_straight)
     for _ in range(settings.exact_steps):
-        error = splines[-1].end.as_array() - goal
-        if float(np.abs(error).max()) < settings.exact:
+        end = splines[-1].end
+        error = np.array((end.x - (x + back * c), end.y - (y + back * s), end.yaw - yaw))
+        if np.maximum.reduce(np.abs(error)) < settings.exact:
             break
-        error[:2] -= (
-            error[2] * back * np.array([-np.sin(target[2]), np.cos(target[2])])
-        )  # at the beginning of the straight
+        error[:2] -= error[2] * back * np.array((-s, c))  # at the beginning of the straight
         jacobian = end_sensitivity(basis, variables, end_pose(basis, variables, ends.start, ends.signs)[1])
         flat = np.concatenate(variables)
         moved = flat - _least_norm(_restricted(jacobian, error, flat, nlp.bounds), error)
@@ -256,7 +254,7 @@ def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: flo
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
     """Return one spline per gear, each from the end of the previous spline; the last spline includes the straight."""
-    pose, splines = Pose2.from_sequence(ends.start), []
+    pose, splines = Pose2(*ends.start.tolist()), []
     for own, length, sign in zip(basis.own_knots, variables.lengths.tolist(), ends.signs.tolist(), strict=True):
         count, is_extended = own.stop - own.start, own.stop == basis.num_knots and final_straight > 0.0
         knots, curvature = np.arange(count + is_extended) * (length / (count - 1)), np.zeros(count + is_extended)

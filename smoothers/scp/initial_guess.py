@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
 from optdock.geometry.arrays import readonly
+from optdock.geometry.lazy import cached_property
 from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.collision.linearization import ClearanceRows
@@ -400,9 +400,10 @@ def track(
         if trial.merit >= current.merit:
             trust_region *= settings.trust_cut
             continue
-        gain, current, around = current.merit - trial.merit, trial, None
+        current, around = trial, None
         trust_region = min(settings.trust_growth * trust_region, settings.most_trust)
-        if gain < settings.small_gain * current.merit or largest_deviation(nlp, current.rollout) < settings.near:
+        is_small = step.gain < settings.small_gain * current.merit
+        if is_small or largest_deviation(nlp, current.rollout) < settings.near:
             break
     return Variables(current.variables[:knots], current.variables[knots:])
 

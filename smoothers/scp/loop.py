@@ -25,6 +25,7 @@ from smoothers.scp.qp_step import (
     Penalties,
     QpStep,
     Subproblem,
+    linearize_and_solve_natively,
     pool_of_this_thread,
     solve_step,
     trusted_nodes,
@@ -45,10 +46,9 @@ if TYPE_CHECKING:
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
-__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized", "search"]
+__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized", "linearized_step", "search"]
 
 _EVALUATE = Kernel("optdock_evaluate", sizes=1, numbers=0)
-_LINEARIZE = Kernel("optdock_linearize", sizes=1, numbers=1)
 
 
 class SearchGuess(NamedTuple):
@@ -179,16 +179,17 @@ def search(
     yield Progress(current, 0, finished=False)
     around: Linearization | None = None
     for iteration in range(1, max_iterations + 1):
+        bounds = pool, state.trust_region, state.proximal, state.penalties
         if around is None:
             state.found = state.found or current.feasible
-            around = linearized(nlp, current, nlp.settings.step.buffer + state.overshoot(current))
-            if is_late():
-                return
-        step = solve_step(nlp, around, pool, state.trust_region, state.proximal, state.penalties)
+            buffer = nlp.settings.step.buffer + state.overshoot(current)
+            around, step = linearized_step(current, buffer, *bounds)
+        else:
+            step = solve_step(nlp, around, *bounds)
         if is_late():
             return
         finished = current.feasible and step is not None and step.gain < state.settings.small_gain * current.cost
-        better = None if finished else _improved(nlp, current, step, state)
+        better = None if finished else _improved(current, around, step, state)
         if better is not None:
             finished = state.has_settled(current, better)
             current, around = better, None
@@ -203,7 +204,7 @@ def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Ite
     packed, basis, size, nodes = nlp.packed, nlp.basis, nlp.basis.size, nlp.basis.num_nodes
     room, table = packed.room, packed.results + 6 + 4 * nodes
     pairs, values = np.empty(nodes + 3 * room.pairs, dtype=np.int64), np.empty(table + room.width * room.pairs)
-    work, indices = pool_of_this_thread().work(max(room.work, 12 * size + packed.results), room.indices)
+    work, indices = pool_of_this_thread().work(packed.work, room.indices)
     earlier = variables if before is None else before.values
     arrays = (
         (packed.counts, packed.counts.size),
@@ -285,36 +286,42 @@ def _with_view_and_terms(found: Iterate) -> Iterate:
     return Iterate.of(nlp, found.values, found.pairs, view, terms)
 
 
-def _linearize_natively(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
-    packed, basis, scene, size, nodes = nlp.packed, nlp.basis, nlp.scene, nlp.basis.size, nlp.basis.num_nodes
-    room, trusted, most = packed.room, packed.trusted, nlp.settings.step.clearance_rows[-1]
-    p, parts, obstacles = (current.pairs.size - nodes) // 3, len(scene.body.vertices), len(scene.obstacles.vertices)
-    rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
-    start = size * (2 * size + 5 + trusted) + 3
-    node, values = np.empty(most, dtype=np.int64), np.empty(start + most * (1 + size))
-    work, indices = pool_of_this_thread().work(
-        size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width,
-        15 * p + (parts + nodes) * obstacles + 2 * rows,
-    )
-    arrays = (
-        (packed.counts, packed.counts.size),
-        (packed.numbers, packed.numbers.size),
-        (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
-        (scene.packed, room.scene),
-        (current.values, packed.results + 6 + 4 * nodes + room.width * p),
-        (current.pairs, nodes + 3 * p),
-        (node, most),
-        (values, values.size),
-        (indices, indices.size),
-        (work, work.size),
-    )
-    count = _LINEARIZE((p,), (buffer,), arrays)
-    return Linearization(values[: start + count * (1 + size)], node[:count], basis, trusted)
+def linearized_step(
+    current: Iterate,
+    buffer: float,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> tuple[Linearization, QpStep | None]:
+    """Return the linearization at an iterate, with a buffer [m] added to the required clearance, and its best step.
+
+    The other arguments are those of `solve_step`.
+    """
+    around, step = _stepped(current, buffer, pool, trust_region, proximal, penalties)
+    complete = _with_rows_of_view_and_terms(current, around, buffer)
+    if complete is around:
+        return around, step
+    return complete, solve_step(current.nlp, complete, pool, trust_region, proximal, penalties)
 
 
-@twin_of(_linearize_natively)
-def _linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
+@twin_of(linearize_and_solve_natively)
+def _stepped(
+    current: Iterate,
+    buffer: float,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> tuple[Linearization, QpStep | None]:
+    """Return the result of `linearized_step`, without the required view and terms."""
+    around = _linearized(current, buffer)
+    return around, solve_step(current.nlp, around, pool, trust_region, proximal, penalties)
+
+
+def _linearized(current: Iterate, buffer: float) -> Linearization:
     """Return the result of `linearized`, without the required view and terms."""
+    nlp = current.nlp
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     variables = current.variables
     by = sensitivity(basis, variables, rollout)
@@ -338,13 +345,17 @@ def _buffered(nlp: NonlinearProgram, rollout: Rollout, rows: ClearanceRows, buff
     return ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
 
 
-def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linearization:
-    """Return the linearization at an iterate, with a buffer [m] added to the required clearance."""
-    around = _linearized(nlp, current, buffer)
+def linearized(current: Iterate, buffer: float) -> Linearization:
+    """Return the linearization at an iterate by NumPy, with a buffer [m] added to the required clearance."""
+    return _with_rows_of_view_and_terms(current, _linearized(current, buffer), buffer)
+
+
+def _with_rows_of_view_and_terms(current: Iterate, around: Linearization, buffer: float) -> Linearization:
+    """Return a linearization with the rows of the required view and of terms, and the costs of soft terms, added."""
     if current.view is None and current.terms is None:
         return around
-    basis, variables, rollout, reach = nlp.basis, current.variables, current.rollout, nlp.settings.view.reach
-    by = functools.cache(lambda: sensitivity(basis, variables, rollout))
+    nlp, basis, variables, rollout = current.nlp, current.nlp.basis, current.variables, current.rollout
+    by, reach = functools.cache(lambda: sensitivity(basis, variables, rollout)), nlp.settings.view.reach
     seeing = bounded = costs = None
     if nlp.view is not None and current.view is not None:
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, reach)
@@ -360,16 +371,26 @@ def linearized(nlp: NonlinearProgram, current: Iterate, buffer: float) -> Linear
     return Linearization.of(basis, parts._replace(quadratic=quadratic, rows=rows))
 
 
-def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:
-    """Return the iterate after a step if its merit is lower, else None; adapt trust region and proximal weight."""
+def _improved(current: Iterate, around: Linearization, step: QpStep | None, state: _State) -> Iterate | None:
+    """Return the iterate after a step if its merit is lower, else None; adapt trust region and proximal weight.
+
+    If a step from a feasible iterate lowers the cost but violates bounds, which are linear only to first order, their
+    rows are corrected once by these violations instead ([Nocedal2006] ch. 18.3).
+    """
     if step is None:
         state.reject(state.trust_region)
         return None
+    nlp, settings = current.nlp, state.settings
     trial = evaluated(nlp, current.flat + step.change, current)
     if trial.merit(state.penalties) < current.merit(state.penalties):
         state.accept()
         return trial
-    state.reject(trial.moved)
+    is_short = trial.on_goal and not trial.feasible and trial.cost < current.cost
+    if is_short and current.feasible and state.rejections == 0:
+        around.tighten(settings.corrected * trial.zones)
+        state.rejections = 1
+    else:
+        state.reject(trial.moved)
     return None
 
 

@@ -575,7 +575,7 @@ static Model model_of(const Program *p, double *values)
  *   values       array of the iterate, see `Iterate.values`
  *   pairs        see `optdock_clearance_along`
  *   node         out, (most,), nodes of the rows
- *   out          out, see `Linearization.values`, with space for `most` rows
+ *   out          out, see `Linearization.values`, with space for all rows, at most `most`
  *   ints         work: 3 p + (parts + nodes) obstacles + 2 room + 12 p, room = (3 + 2 discs_per_node) p
  *   work         3 nodes size + 4 size + room (size + 2) + 3 discs + 9 p + 4 (2 v + k)
  *
@@ -699,8 +699,8 @@ static void fill(const Program *p, const Model *at, int64_t rows, const int64_t 
  *   values, node   see `Linearization`
  *   guess        (guessed,)
  *   ints         out and work: attained constraints, see `optdock_minimizer`, 5 n + 6 m + 1, then guessed
- *   doubles      out and work: minimizer and work of `optdock_minimizer`, (n + 1) (2 n + 7) + 16 n + 2 m + 9 n^2, then
- *                predicted gain of the cost, then work n^2 + n + m n + 2 (n + m)
+ *   doubles      out and work: change of the variables (size,), predicted gain of the cost, and work of
+ *                `optdock_minimizer`, (n + 1) (2 n + 7) + 16 n + 2 m + 9 n^2 in all, then n^2 + n + m n + 2 (n + m)
  *
  * n = size + 6 + zones; m = 3 + trusted + 2 (knots - gears, or 0 for an unlimited rate) + rows. Return the number of
  * attained constraints, or -1 if no minimizer is found. */
@@ -714,7 +714,7 @@ int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds
     int64_t rates = p.n.is_limited ? p.n.knots - p.n.gears : 0, kept = 0;
     int64_t n = p.size + 6 + p.n.zones, m = 3 + p.n.trusted + 2 * rates + rows;
     int64_t *guesses = ints + 5 * n + 6 * m + 1;
-    double *gain = doubles + (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n, *h = gain + 1;
+    double *h = doubles + (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n;
     Quadratic q = {n, 0, h, h + n * n, h + n * n + n, h + n * n + n + m * n, h + n * n + n + m * n + n + m};
     for (int64_t i = 0; i < n * n + n + m * n; i++)
         h[i] = 0.0;
@@ -735,6 +735,27 @@ int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds
         return -1;
     for (int64_t i = 0; i < p.size; i++)
         model += doubles[i] * dot(at.hessian + i * p.size, doubles, p.size);
-    *gain = -(dot(at.gradient, doubles, p.size) + 0.5 * model);
+    doubles[p.size] = -(dot(at.gradient, doubles, p.size) + 0.5 * model);
     return found;
+}
+
+/* Linearize at an iterate and solve the program of a step, as the function `linearized_step`.
+ *
+ *   pairs, guessed ... guess   see `optdock_linearize` and `optdock_step`
+ *   node         out, (most + 1,), nodes of the rows; the last element is the number of rows
+ *   model        out, see `Linearization.values`, with space for all rows, at most `most`
+ *   ints, doubles   out and work, see `optdock_step` for `most` rows; at least as large as those of `optdock_linearize`
+ *
+ * Return the result of `optdock_step`. */
+int64_t optdock_linearized_step(int64_t pairs, int64_t guessed, int64_t last, int64_t rounds, double buffer,
+                                double trust, double stretch, double proximal, double of_clearance, double of_goal,
+                                double unbounded, double tolerance, double attained, const int64_t *counts,
+                                const double *numbers, const double *basis, const double *scene, double *values,
+                                const int64_t *near, const int64_t *guess, int64_t *node, double *model,
+                                int64_t *ints, double *doubles)
+{
+    int64_t *rows = node + program_of(counts, numbers).n.most;
+    *rows = optdock_linearize(pairs, buffer, counts, numbers, basis, scene, values, near, node, model, ints, doubles);
+    return optdock_step(*rows, guessed, last, rounds, trust, stretch, proximal, of_clearance, of_goal, unbounded,
+                        tolerance, attained, counts, numbers, model, node, guess, ints, doubles);
 }

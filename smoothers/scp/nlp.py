@@ -14,14 +14,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import frozen, readonly
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
+from optdock.model.path import PolylineSegment
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, InputNodes
 from smoothers.scp.packed_program import packed
@@ -48,7 +50,7 @@ __all__ = [
     "NonlinearProgram",
     "TracedInput",
     "VariableBounds",
-    "even_positions",
+    "enclosing_positions",
     "formulate",
     "free_lengths",
 ]
@@ -147,12 +149,14 @@ def formulate(
     scales = _reference_scales(limits, settings.bounds)
     longest = settings.resolution.longest_span / scales[0]
     basis = basis_for(shape_for(lengths, chosen, longest, settings.resolution), settings.resolution.fit_smoothing)
-    start, yaw = problem.start.as_array(), problem.start.yaw
-    start[2] = yaw + 2.0 * math.pi * round((path.start.yaw - yaw) / (2.0 * math.pi))
-    traced = trace(path, basis, traced_lengths, float(start[2]))
-    radius = 1.0 / min(_curvature_bound(limits, settings.bounds), 2.0)
+    start = problem.start
+    yaw = start.yaw + 2.0 * math.pi * round((path.start.yaw - start.yaw) / (2.0 * math.pi))
     signs = np.array([float(segment.direction) for segment in path.segments])
-    ends = Ends(start, _target(problem, signs[-1], traced.end_yaw), signs, settings.projection.reach * radius)
+    traced = trace(path, basis, traced_lengths, signs, yaw)
+    most = min(limits.max_curvature, settings.bounds.curvature_cap)
+    radius = 1.0 / min(most, 2.0)
+    target = _target(problem, float(signs[-1]), traced.end_yaw)
+    ends = Ends(np.array((start.x, start.y, yaw)), target, signs, settings.projection.reach * radius)
     cost = CostModel(
         basis,
         _scaled(chosen.weights, scales[0]),
@@ -161,7 +165,7 @@ def formulate(
         _turning_at_cusps(limits, scales[0]),
         _easing(limits, basis, lengths),
     )
-    bounds, inner = _variable_bounds(basis, problem, lengths, settings.bounds)
+    bounds, inner = _variable_bounds(basis, problem, lengths, most, settings.bounds)
     return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
 
 
@@ -170,10 +174,17 @@ def _even_shares(count: int) -> FloatArray:
     return readonly(np.linspace(0.0, 1.0, count))
 
 
-def even_positions(path: Path, count: int) -> FloatArray:
-    """Return `count` evenly spaced positions of every segment, Shape (n, 2) [m]."""
+def enclosing_positions(path: Path, count: int) -> FloatArray:
+    """Return positions whose box is that of a path: the poses of polylines, and `count` of every clothoid.
+
+    Shape (n, 2) [m].
+    """
     shares = _even_shares(count)
-    return np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
+    poses = [
+        part.poses if isinstance(part, PolylineSegment) else part.poses_at(shares * part.length)
+        for part in path.segments
+    ]
+    return (poses[0] if len(poses) == 1 else np.concatenate(poses))[:, :2]
 
 
 def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProgram:
@@ -182,17 +193,12 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
     if shape == nlp.basis.shape:
         return nlp
     old, basis = nlp.basis, basis_for(shape, nlp.settings.resolution.fit_smoothing)
-    # Fractional index of every new node among the old ones, by the share of its gear's length.
-    node = np.concatenate(
-        [
-            np.interp(basis.fraction[basis.node_gear == m], old.fraction[own], np.flatnonzero(own))
-            for m, own in enumerate(old.node_gear == m for m in range(basis.num_gears))
-        ]
-    )
-    known = np.arange(old.num_nodes)
-    positions, normals = (
-        np.column_stack([np.interp(node, known, column) for column in values.T]) for values in nlp.cost.reference
-    )
+    # Fractional index of every new node among the old ones, which are evenly spaced in every gear.
+    old_cells = old.divisions[:, 1]
+    node = (old.last_nodes - old_cells)[basis.node_gear] + basis.fraction * old_cells[basis.node_gear]
+    before = node.astype(np.int64)
+    after, share = np.minimum(before + 1, old.num_nodes - 1), (node - before)[:, None]
+    positions, normals = (values[before] + share * (values[after] - values[before]) for values in nlp.cost.reference)
     middles = 0.5 * (node[basis.left] + node[basis.left + 1])
     headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
     traced = TracedInput(positions, headings, nlp.traced.end_yaw)
@@ -218,19 +224,19 @@ def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings
         longest: Longest span [m].
         settings: Limits of the numbers of spans and intervals.
     """
-    total, each = float(np.add.reduce(lengths)), lengths.tolist()
+    total, shape = float(np.add.reduce(lengths)), []
     wanted = max(chosen.spans, min(settings.most_spans, math.ceil(total / longest)))
-    spans = [max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total)) for length in each]
-    cells = [math.ceil(length / (q * chosen.interval)) for length, q in zip(each, spans, strict=True)]
-    fewest, most = settings.fewest_intervals, settings.most_intervals
-    return tuple((q, min(max(r, fewest), most)) for q, r in zip(spans, cells, strict=True))
+    for length in lengths.tolist():
+        spans = max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total))
+        cells = math.ceil(length / (spans * chosen.interval))
+        shape.append((spans, min(max(cells, settings.fewest_intervals), settings.most_intervals)))
+    return tuple(shape)
 
 
 class _NodesOfGears(NamedTuple):
     """Indices of nodes and intervals that depend only on the basis."""
 
     shares: tuple[FloatArray, ...]  # per gear, `Basis.fraction` of its nodes
-    right: IntArray  # node at which each interval ends
     inner: IntArray  # nodes between two intervals of one gear
     last: IntArray  # last interval of each gear
 
@@ -239,26 +245,25 @@ class _NodesOfGears(NamedTuple):
 def _nodes_of_gears(basis: Basis) -> _NodesOfGears:
     shares = tuple(basis.fraction[basis.node_gear == m] for m in range(basis.num_gears))
     inner = basis.left[basis.fraction[basis.left] > 0.0]
-    return frozen(_NodesOfGears(shares, basis.left + 1, inner, basis.last_nodes - np.arange(basis.num_gears) - 1))
+    return frozen(_NodesOfGears(shares, inner, basis.last_nodes - np.arange(basis.num_gears) - 1))
 
 
-def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> TracedInput:
-    """Return the input at the nodes of `basis`; its headings are directions of chords, not yaws."""
-    indices, left, yaws = _nodes_of_gears(basis), basis.left, np.empty(basis.num_nodes + 1)
+def trace(path: Path, basis: Basis, lengths: FloatArray, signs: FloatArray, start_yaw: float) -> TracedInput:
+    """Return the input at the nodes of `basis`; headings are directions of chords in the gears `signs`, not yaws."""
+    shares, left, yaws = _nodes_of_gears(basis).shares, basis.left, np.empty(basis.num_nodes + 1)
     poses = [
         segment.poses_at(share * min(length, segment.length))
-        for segment, share, length in zip(path.segments, indices.shares, lengths.tolist(), strict=True)
+        for segment, share, length in zip(path.segments, shares, lengths.tolist(), strict=True)
     ]
     nodes = poses[0] if len(poses) == 1 else np.concatenate(poses)
     yaws[0], yaws[1:] = start_yaw, nodes[:, 2]
     node_yaw = unwrap_yaw(yaws)[1:]
-    chord = nodes[indices.right, :2] - nodes[left, :2]
-    signs = np.array([int(segment.direction) for segment in path.segments])[basis.interval_gear]
-    direction = np.arctan2(signs * chord[:, 1], signs * chord[:, 0])
-    yaw = 0.5 * (node_yaw[left] + node_yaw[indices.right])
-    turned = wrap_angles(direction - yaw)
-    moved = np.hypot(chord[:, 0], chord[:, 1]) > 1e-6
-    return TracedInput(nodes[:, :2], yaw + np.where(moved, turned, 0.0), float(node_yaw[-1]))
+    dx, dy, _ = (nodes[1:] - nodes[:-1])[left].T
+    sign = signs[basis.interval_gear]
+    yaw = (0.5 * (node_yaw[:-1] + node_yaw[1:]))[left]
+    turned = wrap_angles(np.arctan2(sign * dy, sign * dx) - yaw)
+    turned[np.hypot(dx, dy) <= 1e-6] = 0.0
+    return TracedInput(nodes[:, :2], yaw + turned, float(node_yaw[-1]))
 
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
@@ -273,16 +278,10 @@ def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
     """Return the goal moved back by the final straight, with a yaw that is continuous with the input."""
-    goal, yaw = problem.goal.as_array(), problem.goal.yaw
-    back = sign * problem.dock.final_straight
-    goal[0] -= back * np.cos(yaw)
-    goal[1] -= back * np.sin(yaw)
-    goal[2] = yaw + 2.0 * math.pi * round((end_yaw - yaw) / (2.0 * math.pi))
-    return goal
-
-
-def _curvature_bound(limits: MotionLimits, settings: BoundSettings) -> float:
-    return min(limits.max_curvature, settings.curvature_cap)
+    goal = problem.goal
+    yaw, back = goal.yaw, sign * problem.dock.final_straight
+    turned = yaw + 2.0 * math.pi * round((end_yaw - yaw) / (2.0 * math.pi))
+    return np.array((goal.x - back * np.cos(yaw), goal.y - back * np.sin(yaw), turned))
 
 
 def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[float, float]:
@@ -318,7 +317,9 @@ def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArr
 
 def _scaled(weights: Weights, curvature: float) -> Weights:
     """Return the weights for a largest curvature [1/m]; robots with wide turns may deviate farther from the input."""
-    return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
+    if curvature >= _TRACKED:
+        return weights
+    return weights._replace(tracking=weights.tracking * (curvature / _TRACKED) ** 2)
 
 
 def _braking_distance(problem: DockingProblem) -> float:
@@ -332,11 +333,10 @@ def _braking_distance(problem: DockingProblem) -> float:
 
 
 def _variable_bounds(
-    basis: Basis, problem: DockingProblem, lengths: FloatArray, settings: BoundSettings
+    basis: Basis, problem: DockingProblem, lengths: FloatArray, most: float, settings: BoundSettings
 ) -> tuple[VariableBounds, VariableBounds]:
-    """Return the exact bounds, and the tighter bounds of the steps."""
+    """Return the exact bounds for a largest curvature `most` [1/m], and the tighter bounds of the steps."""
     found, limits = [], problem.robot.limits
-    most = _curvature_bound(limits, settings)
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
     if basis.num_gears > 1:  # a robot in motion needs the first gear for stopping

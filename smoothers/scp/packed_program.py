@@ -25,7 +25,10 @@ class PackedProgram(NamedTuple):
     numbers: FloatArray  # in the order of `Numbers` and `Program`, Shape (any,)
     room: Room  # sizes of the arrays of the kernel for clearance
     results: int  # index of the cost in `Iterate.values`
+    work: int  # numbers that an evaluation needs
     trusted: int  # number of headings that the trust region bounds
+    columns: int  # variables of a step: knots, gears and slacks
+    rows: int  # constraints of a step before those of clearance
 
 
 def packed(nlp: NonlinearProgram) -> PackedProgram:
@@ -39,10 +42,10 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     projection = nlp.settings.projection
     sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, parts, v, obstacles, k
     others = projection.max_steps, projection.alternations, step.zones, trusted.size
-    rows = bool(np.isfinite(nlp.inner_bounds.rate)), step.clearance_rows[-1]
+    is_limited, most = bool(np.isfinite(nlp.inner_bounds.rate)), step.clearance_rows[-1]
     counts = np.concatenate(
         (
-            np.array((*sizes, *selection, *edges, *active, *others, *rows), dtype=np.int64),
+            np.array((*sizes, *selection, *edges, *active, *others, is_limited, most), dtype=np.int64),
             basis.divisions.ravel(),
             basis.left,
             trusted,
@@ -52,7 +55,10 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     )
     numbers = np.concatenate((_numbers(nlp), *_arrays(nlp)), axis=None)
     results = basis.size + 4 * basis.num_nodes + 6 * basis.num_intervals + 3 + step.zones
-    return PackedProgram(readonly(counts), readonly(numbers), Room.of(scene, basis), results, trusted.size)
+    columns, rows = basis.size + 6 + step.zones, 3 + trusted.size + (2 * basis.span_gear.size if is_limited else 0)
+    room = Room.of(scene, basis)
+    work = max(room.work, 12 * basis.size + results)
+    return PackedProgram(readonly(counts), readonly(numbers), room, results, work, trusted.size, columns, rows)
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:

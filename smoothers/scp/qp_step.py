@@ -14,7 +14,6 @@ step.
 from __future__ import annotations
 
 import itertools
-import math
 import threading
 import time
 from collections import OrderedDict
@@ -42,7 +41,9 @@ from smoothers.scp.rollout import Variables, in_order
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
+    from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import NonlinearProgram, VariableBounds
+    from smoothers.scp.packed_program import PackedProgram
     from smoothers.scp.settings import StepSettings
 
 __all__ = [
@@ -53,6 +54,7 @@ __all__ = [
     "QpStep",
     "Subproblem",
     "blocks_for",
+    "linearize_and_solve_natively",
     "pool_of_this_thread",
     "prepare_programs",
     "solve_natively",
@@ -65,6 +67,7 @@ __all__ = [
 # With its workspace, a program takes up to 0.35 MB and is built in 0.2 to 0.5 ms.
 _MOST_PROGRAMS = 16
 _KERNEL = Kernel("optdock_step", sizes=4, numbers=8)
+_LINEARIZED = Kernel("optdock_linearized_step", sizes=4, numbers=9)
 
 
 class Penalties(NamedTuple):
@@ -116,13 +119,17 @@ def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
     return np.minimum(zones - 1, node * zones // basis.num_nodes)
 
 
-@lru_cache(maxsize=16)  # as many as bases
 def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
     """Return nodes spaced evenly over the path, whose headings are bounded by the trust region.
 
     Twelve nodes are enough for 24 spans. With more spans, curvatures oscillate unless there is one node per span.
     """
-    return readonly(np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64))
+    return _spaced_nodes(basis.num_nodes, _trust_rows(basis, settings))
+
+
+@lru_cache(maxsize=16)  # as many as bases
+def _spaced_nodes(nodes: int, count: int) -> IntArray:
+    return readonly(np.linspace(1, nodes - 1, count).astype(np.int64))
 
 
 def _trust_rows(basis: Basis, settings: StepSettings) -> int:
@@ -163,6 +170,17 @@ class Linearization(NamedTuple):
         return cls(values, rows.node, basis, len(parts.headings))
 
     @property
+    def start(self) -> int:
+        """Index of the first row in `values`."""
+        size = self.basis.size
+        return size * (2 * size + 5 + self.trusted) + 3
+
+    def tighten(self, shortfalls: FloatArray) -> None:
+        """Require more clearance in all rows of each zone, Shape (zones,) [m]."""
+        rows = self.values[self.start :].reshape(-1, 1 + self.basis.size)
+        rows[:, 0] -= shortfalls[zone_of(self.basis, self.node, shortfalls.size)]
+
+    @property
     def parts(self) -> Subproblem:
         """The parts, as views."""
         basis, size = self.basis, self.basis.size
@@ -184,16 +202,13 @@ def solve_natively(
     penalties: Penalties,
 ) -> QpStep | None:
     """Return the result of `solve_step`, whose arguments are the same, by the kernel."""
-    packed, basis, step, count = nlp.packed, nlp.basis, nlp.settings.step, around.node.size
-    size, spans, trusted = basis.size, basis.span_gear.size, around.trusted
-    n, fixed = size + 6 + step.zones, 3 + trusted + (2 * spans if math.isfinite(nlp.inner_bounds.rate) else 0)
-    m, (guess, last) = fixed + count, _guess(pool.latest, nlp, around, n, fixed)
-    ints, solved = 5 * n + 6 * m + 1, (n + 1) * (2 * n + 7) + 16 * n + 2 * m + 9 * n * n
-    work, indices = pool.work(solved + 1 + n * n + n + m * n + 2 * (n + m), ints + guess.size)
+    packed, count = nlp.packed, around.node.size
+    guess, last = _guess(pool.latest, nlp, around, packed.columns, packed.rows)
+    work, indices = pool.work(*_room(packed, count, guess.size))
     arrays = (
         (packed.counts, packed.counts.size),
         (packed.numbers, packed.numbers.size),
-        (around.values, size * (2 * size + 5 + trusted) + 3 + count * (1 + size)),
+        (around.values, around.start + count * (1 + nlp.basis.size)),
         (around.node, count),
         (guess, guess.size),
         (indices, indices.size),
@@ -203,8 +218,68 @@ def solve_natively(
     found = _KERNEL((count, guess.size, last, MOST_ROUNDS), bounds, arrays)
     if found < 0:
         return _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
-    pool.latest = _ActiveRows(nlp.inner_bounds, around, indices[:found].copy())
-    return QpStep(work[:size].copy(), float(work[solved]))
+    return _kept(nlp, around, pool, work, indices[:found])
+
+
+def linearize_and_solve_natively(
+    current: Iterate,
+    buffer: float,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> tuple[Linearization, QpStep | None]:
+    """Return the result of `loop.linearized_step`, whose arguments are the same, by the kernel."""
+    nlp, basis, scene = current.nlp, current.nlp.basis, current.nlp.scene
+    packed, size, nodes = nlp.packed, basis.size, basis.num_nodes
+    room, most = packed.room, nlp.settings.step.clearance_rows[-1]
+    parts, obstacles = scene.body.vertices.shape[0], scene.obstacles.vertices.shape[0]
+    p = (current.pairs.size - nodes) // 3
+    rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
+    start = size * (2 * size + 5 + packed.trusted) + 3
+    node, values = np.empty(most + 1, dtype=np.int64), np.empty(start + min(most, rows) * (1 + size))
+    guess, last = _guess(pool.latest, nlp, None, packed.columns, packed.rows)
+    numbers, integers = _room(packed, most, guess.size)
+    work, indices = pool.work(
+        max(numbers, size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width),
+        max(integers, 15 * p + (parts + nodes) * obstacles + 2 * rows),
+    )
+    arrays = (
+        (packed.counts, packed.counts.size),
+        (packed.numbers, packed.numbers.size),
+        (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
+        (scene.packed, room.scene),
+        (current.values, packed.results + 6 + 4 * nodes + room.width * p),
+        (current.pairs, nodes + 3 * p),
+        (guess, guess.size),
+        (node, most + 1),
+        (values, values.size),
+        (indices, indices.size),
+        (work, work.size),
+    )
+    bounds = trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
+    found = _LINEARIZED((p, guess.size, last, MOST_ROUNDS), (buffer, *bounds), arrays)
+    count = node.item(most)
+    around = Linearization(values[: start + count * (1 + size)], node[:count], basis, packed.trusted)
+    if found < 0:
+        return around, _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
+    return around, _kept(nlp, around, pool, work, indices[:found])
+
+
+def _room(packed: PackedProgram, count: int, guessed: int) -> tuple[int, int]:
+    """Return how many numbers and integers the kernel needs for `count` rows of clearance."""
+    n, m = packed.columns, packed.rows + count
+    return (n + 1) * (2 * n + 7) + 17 * n + 10 * n * n + m * n + 2 * n + 4 * m, 5 * n + 6 * m + 1 + guessed
+
+
+def _kept(
+    nlp: NonlinearProgram, around: Linearization, pool: ProgramPool, work: FloatArray, active: IntArray
+) -> QpStep:
+    """Return the step that the kernel has found, and keep the active constraints for the next step."""
+    size = nlp.basis.size
+    pool.latest = _ActiveRows(nlp.inner_bounds, around, active.copy())
+    solved = work[: size + 1].copy()
+    return QpStep(solved[:size], solved.item(size))
 
 
 @twin_of(solve_natively)
@@ -364,16 +439,17 @@ class _ActiveRows(NamedTuple):
 
 
 def _guess(
-    latest: _ActiveRows | None, nlp: NonlinearProgram, around: Linearization, variables: int, fixed: int
+    latest: _ActiveRows | None, nlp: NonlinearProgram, around: Linearization | None, variables: int, fixed: int
 ) -> tuple[IntArray, int]:
     """Return the constraints that are probably active, and the last one of them that is in this program.
 
-    They are those of the step before, or the bounds of the slacks; `fixed`: number of rows before those of clearance.
+    They are those of the step before, or the bounds of the slacks; `around`: None for a new linearization; `fixed`:
+    number of rows before those of clearance.
     """
     if latest is None or latest.bounds is not nlp.inner_bounds:
         return np.arange(nlp.basis.size + 1, variables + 1), variables
-    everything = variables + fixed + around.node.size
-    return latest.active, everything if latest.around is around else variables + fixed
+    rows = around.node.size if around is not None and latest.around is around else 0
+    return latest.active, variables + fixed + rows
 
 
 class ProgramPool:

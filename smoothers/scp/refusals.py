@@ -108,14 +108,19 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     poses = np.empty((back.size, 3))
     poses[:, 0], poses[:, 1] = goal.x - back * math.cos(goal.yaw), goal.y - back * math.sin(goal.yaw)
     poses[:, 2] = goal.yaw
+    rule, robot, obstacles = problem.path_clearance, problem.robot, problem.all_obstacles
+    required = rule.near_goal(np.abs(back))
+    distance, rows = compiled_clearances(poses, robot.footprint, obstacles, float(np.maximum.reduce(required)))
+    if not np.maximum.reduce(required - distance) > _TOLERANCE:
+        return None
+    # Near a start that is too close, less is required.
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
-    required = problem.path_clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
-    distance, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
+    required = np.minimum(required, rule.near_start(from_start, start_clearance, problem.start_run))
     short = required - distance
     k = int(short.argmax())
     if not short[k] > _TOLERANCE:
         return None
-    name = problem.all_obstacles.name_of(int(rows[k]))
+    name = obstacles.name_of(int(rows[k]))
     s = path.length - abs(float(back[k]))
     what = "at the goal" if back[k] == 0.0 else f"on the final straight, {abs(back[k]):.3f} m before the goal,"
     met = in_words(name)

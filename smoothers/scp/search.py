@@ -24,7 +24,7 @@ from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
-from smoothers.scp.nlp import even_positions, formulate, with_intervals
+from smoothers.scp.nlp import Formulation, enclosing_positions, formulate, with_intervals
 from smoothers.scp.refusals import (
     refuse_approach,
     refuse_certificate,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from optdock.verification import Certificate
     from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.loop import Iterate, SearchGuess
-    from smoothers.scp.nlp import Formulation, NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.refusals import Refusal
     from smoothers.scp.settings import AnytimeSettings, Settings, ViewSettings
@@ -87,7 +87,8 @@ class PathVerdict(NamedTuple):
     @property
     def accepted(self) -> bool:
         """Whether the path is certified and no hard term is negative at a sample."""
-        return self.certificate.certified and all(bound.holds for bound in self.sampled)
+        certified = self.certificate.certified
+        return certified and all(bound.holds for bound in self.sampled) if self.sampled else certified
 
     def refusal(self, path: Path) -> Refusal:
         """Return the refusal for the first violation on `path`."""
@@ -167,10 +168,10 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
     """Return the line from a start on the goal's axis, if it is little longer than the final straight, or None."""
     problem = call.problem
-    line = straight_line(call.path, problem.start, problem.goal, settings)
-    if line is None or line.length >= problem.dock.final_straight + settings.staging:
+    if problem.start.distance_to(problem.goal) >= problem.dock.final_straight + settings.staging:
         return None
-    return Path((line,), problem.frame)
+    line = straight_line(call.path, problem.start, problem.goal, settings)
+    return None if line is None else Path((line,), problem.frame)
 
 
 def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
@@ -240,6 +241,7 @@ class IterationTimes:
     Attributes:
         iteration: Predicted time of the next iteration [s].
         certificate: Predicted time of the next certificate [s]; 0 until known.
+        margin: Time reserved for later stages [s].
         pace: Smallest ratio of a measured iteration time to its prediction.
     """
 
@@ -247,29 +249,31 @@ class IterationTimes:
         self.deadline, self._settings = deadline, settings
         self.iteration = self.certificate = 0.0
         self._certificate_was_measured = False
-        self.pace = math.inf
+        self._expected = self.pace = math.inf
         share, most = settings.margin
-        self._margin = min(share * deadline.seconds, most)
+        self.margin = min(share * deadline.seconds, most)
 
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
         """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
-        self.iteration = pace * self.expected_iteration(nlp)
-        certificate = _expected(nlp, self._settings.certificate_seconds)
+        chosen, (parts, v, _) = self._settings, nlp.scene.body.vertices.shape
+        obstacles, length = len(nlp.scene.obstacles.vertices), float(np.add.reduce(nlp.lengths))
+        iteration, certificate = (
+            once + obstacles * (each + per_metre * parts * length)
+            for once, each, per_metre in (chosen.iteration_seconds, chosen.certificate_seconds)
+        )
+        self._expected = iteration + chosen.iteration_per_corner * (parts * v * nlp.basis.num_intervals)
+        self.iteration = pace * self._expected
         if nlp.terms is not None and nlp.terms.terms.hard:
-            once, per_metre = self._settings.term_seconds
-            certificate += once + per_metre * float(nlp.lengths.sum())
+            once, per_metre = chosen.term_seconds
+            certificate += once + per_metre * length
         self.certificate = self.certificate or pace * certificate
 
-    def expected_iteration(self, nlp: NonlinearProgram) -> float:
-        """Return the predicted time [s] of an iteration on the benchmark machine."""
-        corners = math.prod(nlp.scene.body.vertices.shape[:2])
-        evaluation = self._settings.iteration_per_corner * corners * nlp.basis.num_intervals
-        return _expected(nlp, self._settings.iteration_seconds) + evaluation
-
-    def measured(self, seconds: float, expected: float) -> None:
-        """Update the predictions with the measured time of an iteration [s] and its predicted time [s]."""
-        self.pace = min(self.pace, seconds / expected)
-        self.iteration = max(self._settings.longest_fades * self.iteration, seconds)
+    def measured(self, seconds: float) -> None:
+        """Update the predictions with the measured time of an iteration [s]."""
+        fading = self._settings.longest_fades * self.iteration
+        self.iteration = seconds if seconds > fading else fading
+        if seconds < self.pace * self._expected:
+            self.pace = seconds / self._expected
         if not self._certificate_was_measured:
             self.certificate = max(self.certificate, self._settings.certificate_per_iteration * self.iteration)
 
@@ -282,19 +286,9 @@ class IterationTimes:
         """Whether the remaining time is too short for an iteration."""
         return not self.deadline.fits(self.iteration)
 
-    def reserve(self) -> float:
-        """Return the time [s] reserved for the certificate of a candidate, with a margin for later stages."""
-        return self._settings.certificate_reserve * self.certificate + self._margin
-
     def is_late(self) -> bool:
         """Whether a running certificate must be abandoned because it is too late."""
         return self.deadline.left < -self._settings.latest
-
-
-def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
-    """Return the time on the benchmark machine [s] from its three coefficients."""
-    obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
-    return share[0] + obstacles * (share[1] + share[2] * parts * float(np.add.reduce(nlp.lengths)))
 
 
 @dataclass
@@ -393,27 +387,26 @@ class Solver:
             SmootherTimedOut: If no time is left.
         """
         self._raise_if_late()
-        path, problem, resolution = call.path, call.problem, self.settings.resolution
-        start_clearance, nearest, *_ = end_clearances(call.whole)
+        path, problem, whole, resolution = call.path, call.problem, call.whole, self.settings.resolution
+        is_last = problem is whole or problem.goal == whole.goal
+        start_clearance, nearest, *_ = end_clearances(whole)
         refusal = refuse_start(path, problem, start_clearance, nearest)
-        if refusal is None and problem.goal == call.whole.goal:
-            refusal = refuse_approach(path, call.whole, start_clearance) or refuse_unseen_approach(path, call.whole)
+        if refusal is None and is_last:
+            refusal = refuse_approach(path, whole, start_clearance) or refuse_unseen_approach(path, whole)
         if refusal is None and call.terms is not None:
-            after = call.after if problem.goal == call.whole.goal else None
-            refusal = refuse_terms_at_ends(path, problem, call.terms, after)
+            refusal = refuse_terms_at_ends(path, problem, call.terms, call.after if is_last else None)
         if refusal is not None:
             raise refusal.error()
-        self._raise_if_late()
-        positions = even_positions(path, resolution.input_samples)
-        scene = scene_around(call.whole, positions, start_clearance, self.settings.collision)
-        self._raise_if_late()
-        many = len(scene.obstacles) > resolution.many_obstacles
+        positions = enclosing_positions(path, resolution.input_samples)
+        scene = scene_around(whole, positions, start_clearance, self.settings.collision)
+        many = len(scene.obstacles.vertices) > resolution.many_obstacles
         return self._formulated(call, scene, resolution.coarser_among_many if many else 1.0)
 
     def _formulated(self, call: Call, scene: Scene, coarser: float) -> tuple[NonlinearProgram, InitialGuesses]:
+        weights, spans, interval = call.formulation
         # Larger robots need less resolution.
-        interval = call.formulation.interval * max(1.0, scene.body.radius / self.settings.resolution.body_radius)
-        chosen = call.formulation._replace(interval=coarser * interval)
+        interval *= max(1.0, scene.body.radius / self.settings.resolution.body_radius)
+        chosen = Formulation(weights, spans, coarser * interval)
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
         nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
@@ -488,43 +481,40 @@ class Solver:
 
     def _search(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         self.outcome.converged = False
-        expected = self.times.expected_iteration(nlp)
         before = self.deadline.elapsed
         for progress in search(nlp, guess, self.pool, self.call.max_iterations, self._must_settle):
             if self.cancelled():
                 raise SmootherCancelled("the smoother was cancelled")
             self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
             self.outcome.iterations += progress.iterations > 0
-            self._consider(progress.iterate)
+            rival = self._candidate or self.outcome.incumbent
+            if progress.iterate.feasible and (rival is None or progress.iterate.cost < rival.cost):
+                self._candidate = progress.iterate
             if progress.is_stuck and self._candidate is None and self._is_nearly_feasible(nlp):
                 self._settle(nlp, progress.iterate)
                 self.outcome.converged = self.outcome.incumbent is not None
             if self.outcome.converged and progress.is_stuck:
                 return
+            elapsed = self.deadline.elapsed
             if progress.iterations > 0:
-                self.times.measured(self.deadline.elapsed - before, expected)
-            if self._enough(nlp):
+                self.times.measured(elapsed - before)
+            if self._enough(nlp, elapsed):
                 return
-            before = self.deadline.elapsed
+            before = elapsed
 
-    def _must_settle(self, seconds: float = 0.0) -> bool:
+    def _must_settle(self, seconds: float = 0.0, elapsed: float | None = None) -> bool:
         """Whether no time is left for this work [s] besides that for the certificate of a candidate, if it is due.
 
-        With an incumbent, a certificate is due for a path that is better.
+        With an incumbent, a certificate is due for a path that is better. `elapsed`: the time of the call [s], or None.
         """
         if self._candidate is not None or self.outcome.incumbent is not None:
-            seconds += self.times.reserve()
-        return not self.deadline.fits(seconds)
+            seconds += self.settings.anytime.certificate_reserve * self.times.certificate + self.times.margin
+        return (self.deadline.elapsed if elapsed is None else elapsed) + seconds > self.deadline.seconds
 
-    def _consider(self, iterate: Iterate) -> None:
-        rival = self._candidate or self.outcome.incumbent
-        if iterate.feasible and (rival is None or iterate.cost < rival.cost):
-            self._candidate = iterate
-
-    def _enough(self, nlp: NonlinearProgram) -> bool:
-        """Certify the candidate when little time remains, and return whether to stop."""
+    def _enough(self, nlp: NonlinearProgram, elapsed: float) -> bool:
+        """Certify the candidate when little time remains, `elapsed` [s] after the start; return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
-        short = self._must_settle(step)
+        short = self._must_settle(step, elapsed)
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
@@ -541,11 +531,11 @@ class Solver:
             candidate = self.outcome.last
         if candidate is None or candidate is self._refused:
             return candidate
+        began, problem = self.deadline.elapsed, self.call.problem
         grace = self.settings.anytime.grace if self.outcome.incumbent is None else 0.0
-        if not self.deadline.fits(self.times.certificate - grace):
+        if began + self.times.certificate - grace > self.deadline.seconds:
             self.outcome.converged = False
             return None
-        began, problem = self.deadline.elapsed, self.call.problem
         path = exact_path(nlp, candidate.variables, problem.dock.final_straight, problem.frame)
         verdict = self._judged(path, began)
         if not verdict.accepted and self.times.is_late():
@@ -556,7 +546,7 @@ class Solver:
             return candidate
         self.outcome.incumbent = Incumbent(path, verdict.certificate, candidate.cost)
         if self.outcome.first_certified is None:
-            self.outcome.first_certified = self.deadline.elapsed
+            self.outcome.first_certified = began + self.times.certificate
         return None
 
     def _judged(self, path: Path, began: float) -> PathVerdict:

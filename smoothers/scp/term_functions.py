@@ -10,13 +10,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import instance
+from optdock.geometry.lazy import cached_property
 from smoothers.terms import SYMBOLS, HardTerm, PathTerm, SoftTerm
 
 if TYPE_CHECKING:

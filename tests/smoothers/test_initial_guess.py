@@ -136,14 +136,14 @@ def test_a_long_path_has_more_spans():
 def test_headings_follow_the_motion_and_not_the_yaws_of_the_input():
     straight = np.column_stack((np.linspace(0.0, 2.0, 30), np.zeros(30), 0.4 * np.ones(30)))
     path, basis = Path.from_poses(straight), basis_for(((8, 2),))
-    assert trace(path, basis, np.array([2.0]), 0.0).headings == pytest.approx(0.0, abs=1e-9)
+    assert trace(path, basis, np.array([2.0]), np.ones(1), 0.0).headings == pytest.approx(0.0, abs=1e-9)
 
 
 def test_headings_are_continuous_over_a_full_turn():
     angle = np.linspace(0.0, 2.5 * math.pi, 200)
     circle = np.column_stack((np.sin(angle), 1.0 - np.cos(angle), np.remainder(angle + math.pi, 2 * math.pi) - math.pi))
     path, basis = Path.from_poses(circle), basis_for(((24, 3),))
-    headings = trace(path, basis, np.array([path.length]), 0.0).headings
+    headings = trace(path, basis, np.array([path.length]), np.ones(1), 0.0).headings
     assert np.diff(headings) == pytest.approx(2.5 * math.pi / basis.num_intervals, rel=0.05)
 
 

@@ -17,7 +17,14 @@ from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import driven_path
 from smoothers.scp.loop import evaluated, linearized
 from smoothers.scp.nlp import Formulation, NonlinearProgram, formulate
-from smoothers.scp.qp_step import Linearization, Penalties, ProgramPool, solve_natively, solve_step
+from smoothers.scp.qp_step import (
+    Linearization,
+    Penalties,
+    ProgramPool,
+    linearize_and_solve_natively,
+    solve_natively,
+    solve_step,
+)
 from smoothers.scp.rollout import Variables
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
@@ -81,13 +88,22 @@ def in_both_lanes(function, *arguments):
     return found[0]
 
 
+def linearized_in_both_lanes(current, buffer):
+    """The linearization by NumPy, after a comparison with that of the kernel."""
+    with using_kernels("twin"):
+        found = linearized(current, buffer)
+    step = ProgramPool(), 0.2, 1.0, Penalties(300.0, 1000.0)
+    assert bits(found) == bits(linearize_and_solve_natively(current, buffer, *step)[0])
+    return found
+
+
 @pytest.mark.parametrize("name", FOOTPRINTS)
 @pytest.mark.parametrize("seed", range(8))
 def test_evaluation_and_linearization_are_equal_in_both_lanes(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
     start = in_both_lanes(evaluated, nlp, np.concatenate(variables))
     assert start.moved == 0.0
-    in_both_lanes(linearized, nlp, start, 1e-3 * seed)
+    linearized_in_both_lanes(start, 1e-3 * seed)
     changed = np.concatenate((start.variables.curvature + 0.05, 1.02 * start.variables.lengths))
     assert in_both_lanes(evaluated, nlp, changed, start).moved > 0.0
 
@@ -96,7 +112,7 @@ def test_evaluation_and_linearization_are_equal_in_both_lanes(cases, name, seed)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
-    around = linearized(nlp, evaluated(nlp, np.concatenate(variables)), 1e-3)
+    around = linearized(evaluated(nlp, np.concatenate(variables)), 1e-3)
     pools, penalties = (ProgramPool(), ProgramPool()), Penalties(300.0 * 1.6**seed, 1000.0 * 1.6**seed)
     for trust_region, proximal in ((0.2, 1.0), (0.05, 3.0)):  # the second one begins with the active rows of the first
         steps = []
@@ -113,11 +129,20 @@ def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_the_guess_does_not_change_a_step(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
-    around = linearized(nlp, evaluated(nlp, np.concatenate(variables)), 1e-3)
+    around = linearized(evaluated(nlp, np.concatenate(variables)), 1e-3)
     pool, step = ProgramPool(), (0.2, 1.0, Penalties(300.0, 1000.0))
     first = solve_natively(nlp, around, pool, *step)
     again = solve_natively(nlp, around, pool, *step)
     np.testing.assert_allclose(again.change, first.change, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FOOTPRINTS)
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_is_the_same_in_one_call_with_the_linearization(cases, name, seed):
+    nlp, variables = drawn(cases, seed, name)
+    step = 0.2, 1.0, Penalties(300.0, 1000.0)
+    around, found = linearize_and_solve_natively(evaluated(nlp, np.concatenate(variables)), 1e-3, ProgramPool(), *step)
+    assert bits(solve_natively(nlp, around, ProgramPool(), *step)) == bits(found)
 
 
 @pytest.mark.parametrize("name", FOOTPRINTS)
@@ -129,7 +154,7 @@ def test_the_selection_of_rows_is_equal_in_both_lanes(cases, name):
         step = dataclasses.replace(nlp.settings.step, clearance_rows=rows)
         nlp = dataclasses.replace(nlp, settings=dataclasses.replace(nlp.settings, step=step))
         start = in_both_lanes(evaluated, nlp, np.concatenate(variables))
-        around, found = in_both_lanes(linearized, nlp, start, 1e-3), start.clearance
+        around, found = linearized_in_both_lanes(start, 1e-3), start.clearance
         active = active_pairs(nlp.scene, found, nlp.basis.num_intervals, rows[-1] // 3)
         deep += active.penetrating.size > 0
         thinned += active.separated.size + active.penetrating.size < found.margin.size
@@ -140,7 +165,7 @@ def test_the_selection_of_rows_is_equal_in_both_lanes(cases, name):
 def test_without_obstacles_there_are_no_rows(cases):
     nlp, variables = drawn(cases, 3, "box", count=0)
     start = in_both_lanes(evaluated, nlp, np.concatenate(variables))
-    around = in_both_lanes(linearized, nlp, start, 1e-3)
+    around = linearized_in_both_lanes(start, 1e-3)
     assert start.shortfall == 0.0
     assert around.parts.rows.gradient.shape == (0, nlp.basis.size)
 
@@ -148,7 +173,7 @@ def test_without_obstacles_there_are_no_rows(cases):
 def test_a_program_that_no_library_solves_has_no_step(cases):
     nlp, variables = drawn(cases, 3, "box")
     start = evaluated(nlp, np.concatenate(variables))
-    around = linearized(nlp, start, 1e-3)
+    around = linearized(start, 1e-3)
     parts = around.parts
     around = Linearization.of(nlp.basis, parts._replace(goal=(parts.goal[0], np.full(3, np.nan))))
     for lane in ("twin", "native"):

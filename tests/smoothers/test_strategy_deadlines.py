@@ -79,7 +79,7 @@ def test_a_late_certificate_is_abandoned_without_a_verdict(monkeypatch, delay, c
 
 def test_a_short_budget_returns_an_unfinished_certified_path():
     case = instance("parallel", 0)
-    result = with_clock(ticking(0.001)).smooth(case.raw_path, 0.014, problem=case.problem)
+    result = with_clock(ticking(0.001)).smooth(case.raw_path, 0.012, problem=case.problem)
     assert not result.completed
     assert certify_path(result.path, case.problem).certified
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import frozen, readonly
+from optdock.geometry.lazy import cached_property
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from smoothers.scp.settings import DEFAULT_SETTINGS, CollisionSettings
 
@@ -217,10 +218,10 @@ def scene_around(
     """Return the scene within reach of a path through `positions`, Shape (n, 2) [m]."""
     body = body_of(problem.robot.footprint, settings.most_discs)
     reach = body.radius + problem.path_clearance.required + settings.crop
-    near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
-    start = np.array([problem.start.x, problem.start.y])
-    goal = np.array([problem.goal.x, problem.goal.y])
-    return Scene(near, body, problem.path_clearance, start, goal, start_clearance, settings)
+    lower, upper = np.minimum.reduce(positions) - reach, np.maximum.reduce(positions) + reach
+    near, start, goal = problem.all_obstacles.in_box(lower, upper), problem.start, problem.goal
+    ends = np.array(((start.x, start.y), (goal.x, goal.y)))
+    return Scene(near, body, problem.path_clearance, ends[0], ends[1], start_clearance, settings)
 
 
 class BodyAtNodes(NamedTuple):

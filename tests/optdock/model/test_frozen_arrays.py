@@ -305,7 +305,7 @@ SHARED = {
     "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
-    "trusted_nodes": lambda: qp_step.trusted_nodes(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
+    "_spaced_nodes": lambda: qp_step.trusted_nodes(basis_for(((8, 2),)), DEFAULT_SETTINGS.step),
     "_clamped_knots": lambda: nurbs._clamped_knots(3, 2),
     "_block": lambda: basis_module._block(8, 16),
     "_constant_elements": lambda: qp_step._constant_elements(basis_for(((8, 2),)), 8.0, DEFAULT_SETTINGS.step),
