@@ -201,7 +201,7 @@ class ArcTree:
         return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
 
 
-_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=5, numbers=6)
+_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=5, numbers=9)
 
 
 def _extensions_native(
@@ -276,7 +276,7 @@ def _free_lengths(
     return free
 
 
-_SEQUENCES_KERNEL = Kernel("optdock_free_sequences", sizes=3, numbers=1)
+_SEQUENCES_KERNEL = Kernel("optdock_free_sequences", sizes=3, numbers=4)
 
 
 def _are_free_native(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> BoolArray:
@@ -300,7 +300,7 @@ def are_free(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, 
     return found
 
 
-_FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=1)
+_FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=4)
 
 
 def _first_free_native(
@@ -329,7 +329,7 @@ def first_free(arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace,
     return len(arcs.lengths)
 
 
-_ROUGH_KERNEL = Kernel("optdock_may_be_free", sizes=4, numbers=0)
+_ROUGH_KERNEL = Kernel("optdock_may_be_free", sizes=4, numbers=3)
 
 
 def _may_be_free_native(arcs: Arcs, shares: FloatArray, space: FreeSpace) -> BoolArray:

@@ -81,7 +81,7 @@ class Wavefront:
         return way
 
 
-_SPREAD_KERNEL = Kernel("optdock_spread", sizes=3, numbers=2)
+_SPREAD_KERNEL = Kernel("optdock_spread", sizes=2, numbers=2)
 
 
 def _spread_native(field: DistanceField, radius: float, wave: _Wave, cells: IntArray) -> _Wave:
@@ -89,17 +89,12 @@ def _spread_native(field: DistanceField, radius: float, wave: _Wave, cells: IntA
     size, n = field.side**2, wave.front.size
     queue = np.empty(size, dtype=np.int64)
     queue[:n] = wave.front
-    progress = np.array((0, n, wave.taken, 0))
-    while True:
-        field.poll()
-        slots, values, missing = field.memory
-        own = (cells, cells.size), (wave.steps, size), (queue, size), (progress, 4)
-        memory = (slots, slots.size), (values, values.size), (missing, missing.size)
-        sizes, numbers = (cells.size, field.tiles, _MOST_STEPS), (_BESIDE * field.spacing, radius)
-        if _SPREAD_KERNEL(sizes, numbers, (*own, *memory)):
-            begin, end, count, _ = progress.tolist()
-            return _Wave(wave.steps, np.sort(queue[begin:end]), count)
-        field.compute(missing[: progress[3]])
+    front, progress = np.array((0, n)), np.array((wave.taken, 0, 0))
+    arrays = (cells, cells.size), (wave.steps, size), (queue, size), (front, 2)
+    numbers = _BESIDE * field.spacing, radius
+    while not field.call(_SPREAD_KERNEL, (cells.size, _MOST_STEPS), numbers, arrays, progress):
+        pass
+    return _Wave(wave.steps, np.sort(queue[slice(*front.tolist())]), int(progress[0]))
 
 
 @twin_of(
@@ -159,21 +154,15 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
     return _pulled(np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)]), space.field, room)
 
 
-_PULLED_KERNEL = Kernel("optdock_pulled", sizes=3, numbers=4)
+_PULLED_KERNEL = Kernel("optdock_pulled", sizes=2, numbers=3)
 
 
 def _pulled_native(points: FloatArray, field: DistanceField, room: float) -> FloatArray:
     points, n, damped = np.array(points), len(points), np.geomspace(1.0, _DAMPED, _PULLS)
-    moved, progress = np.empty_like(points), np.zeros(2, dtype=np.int64)
+    moved, progress = np.empty_like(points), np.zeros(3, dtype=np.int64)
+    arrays = (damped, _PULLS), (points, 2 * n), (moved, 2 * n)
     while progress[0] < _PULLS:
-        field.poll()
-        slots, values, missing = field.memory
-        own = (field.origin, 2), (damped, _PULLS), (points, 2 * n), (moved, 2 * n), (progress, 2)
-        memory = (slots, slots.size), (values, values.size), (missing, missing.size)
-        numbers = field.spacing, 2.0 * field.spacing, room, _STIFFNESS
-        _PULLED_KERNEL((n, _PULLS, field.tiles), numbers, (*own, *memory))
-        if progress[1]:
-            field.compute(missing[: progress[1]])
+        field.call(_PULLED_KERNEL, (n, _PULLS), (2.0 * field.spacing, room, _STIFFNESS), arrays, progress)
     return points
 
 
