@@ -6,7 +6,6 @@ gear. Sequences are padded with arcs of length zero to a common number of column
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -103,18 +102,42 @@ class Arcs(NamedTuple):
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
         """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
         assert len(self.lengths) == 1
-        joints = self.joints()[0]
-        poses, counts = self._before_ends(joints, spacing, _FEWEST_POSES)
-        moving = counts.nonzero()[0]
-        ahead = self.lengths[0, moving] > 0.0
-        last = np.append((ahead[1:] != ahead[:-1]).nonzero()[0], moving.size - 1)  # the last arc of each gear
-        ends, cuts = joints[moving[last] + 1], counts.cumsum()[moving[last]].tolist()
-        ends[-1, :2] = end[:2]
-        ends[-1, 2] = end[2] + 2.0 * np.pi * np.round((ends[-1, 2] - end[2]) / (2.0 * np.pi))
-        spans = itertools.pairwise([0, *cuts])
-        blocks = [np.concatenate((poses[a:b], ends[i : i + 1])) for i, (a, b) in enumerate(spans)]
-        gears = [Direction.FORWARD if forward else Direction.REVERSE for forward in ahead[last].tolist()]
-        return Path(tuple(PolylineSegment(block, gear) for block, gear in zip(blocks, gears, strict=True)), frame)
+        poses, counts = _poses_by_gear(self, spacing)
+        turns = np.round((poses[-1, 2] - end[2]) / (2.0 * np.pi))
+        poses[-1] = end
+        poses[-1, 2] += 2.0 * np.pi * turns
+        segments, first = [], 0
+        for count in counts.tolist():
+            gear = Direction.FORWARD if count > 0 else Direction.REVERSE
+            segments.append(PolylineSegment(poses[first : first + abs(count)], gear))
+            first += abs(count)
+        return Path(tuple(segments), frame)
+
+
+_GEARS_KERNEL = Kernel("optdock_poses_by_gear", sizes=2, numbers=1)
+
+
+def _poses_by_gear_native(arcs: Arcs, spacing: float) -> tuple[FloatArray, IntArray]:
+    k = arcs.lengths.size
+    most = int(np.abs(arcs.lengths).sum() / spacing) + (_FEWEST_POSES + 2) * k + 1
+    poses, counts, found = np.empty((most, 3)), np.empty(k, dtype=np.int64), np.empty(2, dtype=np.int64)
+    columns = [(np.ascontiguousarray(column), column.size) for column in arcs]
+    _GEARS_KERNEL((k, _FEWEST_POSES), (spacing,), (*columns, (poses, 3 * most), (counts, k), (found, 2)))
+    rows, gears = found.tolist()
+    return poses[:rows], counts[:gears]
+
+
+@twin_of(_poses_by_gear_native)
+def _poses_by_gear(arcs: Arcs, spacing: float) -> tuple[FloatArray, IntArray]:
+    """Return the poses of a single sequence gear by gear, (q, 3), and their numbers, (g,), negative in reverse."""
+    joints = arcs.joints()[0]
+    poses, counts = arcs._before_ends(joints, spacing, _FEWEST_POSES)
+    moving = counts.nonzero()[0]
+    ahead = arcs.lengths[0, moving] > 0.0
+    last = np.append((ahead[1:] != ahead[:-1]).nonzero()[0], moving.size - 1)  # the last arc of each gear
+    cuts = counts.cumsum()[moving[last]]
+    signs = np.where(ahead[last], 1, -1)
+    return np.insert(poses, cuts, joints[moving[last] + 1], axis=0), signs * (np.diff(cuts, prepend=0) + 1)
 
 
 def moves_of(signs: tuple[float, ...], curvatures: tuple[float, ...]) -> FloatArray:

@@ -18,7 +18,14 @@ from pydantic import Field
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, words_between
+from optdock.planners.manoeuvres.connections import (
+    TreeNodes,
+    all_pairs,
+    connections,
+    free_manoeuvres,
+    with_last,
+    words_between,
+)
 from optdock.planners.manoeuvres.disc_routes import elastic_band
 from optdock.planners.manoeuvres.end_trees import (
     BOTH,
@@ -194,7 +201,7 @@ class Stages:
             Effort(eased, 0.0, 24, 4000, relief),
             Effort(sharp, 0.0, 80, 8000, relief),
         )
-        self._known: list[FloatArray] = []
+        self._known: list[_Way] = []
 
     def guesses(self) -> Iterator[Guess | None]:
         """Yield the guesses of all stages, the first of them after a few milliseconds."""
@@ -248,12 +255,13 @@ class Stages:
     @functools.cached_property
     def _cheapest_word(self) -> float:
         """The least price [s] of a word to the final straight, without regard to obstacles."""
-        straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
-        ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
-        starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
-        goals = np.stack([end.as_array() for end in ends])
+        straights = self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
+        ends = [self.problem.goal @ Pose2(-straight, 0.0, 0.0) for straight in straights.tolist()]
+        starts, goals = (
+            np.array([pose.as_array() for pose in some]) for some in ([self.problem.start] * len(ends), ends)
+        )
         words = words_between(starts, goals, self.radius, self.problem.robot, len(TURNS))
-        ways = np.column_stack((words.lengths, -straights[words.pair]))
+        ways = with_last(words.lengths, straights[words.pair])
         return float(least_prices(ways, self.problem).min(initial=math.inf))
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
@@ -284,9 +292,9 @@ class Stages:
         start = self.trees.from_start()
         found = connections(*all_pairs(TreeNodes(start, ROOT), staging), effort.radius, self.space, _WORDS_PER_PAIR)
         self._poll()
-        found = found.rows(found.prices < self._worthwhile())
+        found = found.rows(slice(int(found.prices.searchsorted(self._worthwhile()))))
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
-        ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
+        ways = with_last(found.lengths, -staging.tree.lengths[found.entries])
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
         ways_in = free_manoeuvres(
             found, start, staging.tree, self.space, effort, self._better_than, per_change=_SLOW_STOP
@@ -417,9 +425,20 @@ class Stages:
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a manoeuvre differs from all manoeuvres yielded before by more than half the width of the robot."""
-        places = arcs.poses_at_shares(_PLACES)[0, :, :2]
-        near = 0.5 * self.problem.robot.footprint.width
-        if any(np.abs(places - other).max() < near for other in self._known):
+        way, near = _Way(arcs), 0.5 * self.problem.robot.footprint.width
+        if any(np.abs(way.places - other.places).max() < near for other in self._known):
             return False
-        self._known.append(places)
+        self._known.append(way)
         return True
+
+
+class _Way:
+    """A manoeuvre that was yielded, with the positions at which others are compared with it, computed on demand."""
+
+    def __init__(self, arcs: Arcs) -> None:
+        self._arcs = arcs
+
+    @functools.cached_property
+    def places(self) -> FloatArray:
+        """Shape (17, 2) [m]."""
+        return self._arcs.poses_at_shares(_PLACES)[0, :, :2]
