@@ -103,7 +103,7 @@ class Arcs(NamedTuple):
         """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
         assert len(self.lengths) == 1
         poses, counts = _poses_by_gear(self, spacing)
-        turns = np.round((poses[-1, 2] - end[2]) / (2.0 * np.pi))
+        turns = round((poses[-1, 2] - end[2]) / (2.0 * np.pi))
         poses[-1] = end
         poses[-1, 2] += 2.0 * np.pi * turns
         segments, first = [], 0
@@ -167,7 +167,7 @@ class ArcTree:
         self.gear, self.robot, self.stop = gear, robot, stopping_cost(robot.limits)
         nodes = np.zeros((1, 7))
         nodes[0, :3] = root
-        self._set(np.full(1, -1), nodes)
+        self._set(np.array([-1]), nodes)
 
     def _set(self, parents: IntArray, nodes: FloatArray) -> None:
         self.parents, self.nodes, self.poses = parents, nodes, nodes[:, :3]
@@ -232,7 +232,7 @@ def _extensions_native(
 ) -> tuple[IntArray, FloatArray]:
     robot, limits, spacing, n = tree.robot, tree.robot.limits, space.spacing(effort), rows.size * len(moves)
     most = n * (stations.size + 1)
-    found, parents, ends = np.zeros(1, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty((most, 7))
+    found, parents, ends = np.array([0]), np.empty(most, dtype=np.int64), np.empty((most, 7))
     given = (np.ascontiguousarray(rows), rows.size), (tree.nodes, tree.nodes.size), (moves, 2 * len(moves))
     outputs = (found, 1), (parents, most), (ends, 7 * most)
     numbers = spacing, tree.gear, limits.max_speed, limits.max_reverse_speed, robot.reverse_price, tree.stop
@@ -303,11 +303,13 @@ _SEQUENCES_KERNEL = Kernel("optdock_free_sequences", sizes=3, numbers=4)
 
 
 def _are_free_native(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> BoolArray:
-    (n, count), free = arcs.lengths.shape, np.ones(len(arcs.lengths), dtype=np.int64)
-    if len(space.obstacles):
-        columns = [(np.ascontiguousarray(column), column.size) for column in arcs]
-        space.check(_SEQUENCES_KERNEL, (n, count), (spacing,), (*columns, (free, n)), limits)
-    return free.astype(np.bool_)
+    n, count = arcs.lengths.shape
+    if len(space.obstacles) == 0:
+        return np.ones(n, dtype=np.bool_)
+    columns, free = [(np.ascontiguousarray(column), column.size) for column in arcs], np.empty(n, dtype=np.int64)
+    space.check(_SEQUENCES_KERNEL, (n, count), (spacing,), (*columns, (free, n)), limits)
+    found: BoolArray = free != 0
+    return found
 
 
 @twin_of(_are_free_native)
@@ -329,7 +331,7 @@ _FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=4)
 def _first_free_native(
     arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace, limits: tuple[float, float]
 ) -> int:
-    (n, count), first = arcs.lengths.shape, np.full(1, len(arcs.lengths))
+    (n, count), first = arcs.lengths.shape, np.array([len(arcs.lengths)])
     if len(space.obstacles) == 0:
         return 0
     columns = [(np.ascontiguousarray(column), column.size) for column in (*arcs, shares)]

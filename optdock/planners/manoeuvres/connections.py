@@ -68,7 +68,7 @@ class Connections(NamedTuple):
     def at_prices(self, prices: FloatArray, most: float) -> Connections:
         """Return the words with new prices, Shape (n,), below `most`, in ascending order of the new prices."""
         order = prices.argsort(kind="stable")
-        return self._replace(prices=prices).rows(order[prices[order] < most])
+        return Connections(prices, *self[1:]).rows(order[prices[order] < most])
 
     @classmethod
     def merged(cls, blocks: Sequence[Connections]) -> Connections:
@@ -234,7 +234,6 @@ def free_manoeuvres(  # noqa: PLR0913 - words, two ends, a space, and how to sea
             found = found.rows(found.prices + per_change * found.changes < most)
         if row == found.prices.size:
             return
-        space.poll()
         some = slice(row, row + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
         first = first_free(words, _COARSE, spacing, space, limits)
@@ -250,5 +249,4 @@ def free_manoeuvres(  # noqa: PLR0913 - words, two ends, a space, and how to sea
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
     """Whether a single manoeuvre is collision-free at finely spaced poses, without the margin."""
-    space.poll()
     return bool(are_free(whole, space.width / _CLOSE_POSES_PER_WIDTH, space, (0.0, effort.start_relief))[0])

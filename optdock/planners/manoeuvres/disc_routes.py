@@ -24,7 +24,9 @@ _FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
 _EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
 _BESIDE = 0.75  # cells: half a diagonal, and rounding
 _MOST_STEPS = 64  # of a wave per call of the kernel, at most a millisecond
-_PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first step size, factor of the last one
+# Elastic band: iterations, first step size, factors of the iterations: pushes between two walls overshoot the middle.
+_PULLS, _STIFFNESS = 80, 0.5
+_DAMPED = readonly(np.geomspace(1.0, 0.1, _PULLS))
 
 
 class _Wave(NamedTuple):
@@ -141,7 +143,7 @@ def _way_back(steps: FloatArray, cell: int) -> IntArray:
 
 def arc_lengths(route: FloatArray) -> FloatArray:
     """Return the distances from the first point along a route, Shape (n, 2) to (n,) [m]."""
-    return np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
+    return np.concatenate(([0.0], np.hypot(*(route[1:] - route[:-1]).T).cumsum()))
 
 
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
@@ -158,9 +160,9 @@ _PULLED_KERNEL = Kernel("optdock_pulled", sizes=2, numbers=3)
 
 
 def _pulled_native(points: FloatArray, field: DistanceField, room: float) -> FloatArray:
-    points, n, damped = np.array(points), len(points), np.geomspace(1.0, _DAMPED, _PULLS)
+    points, n = np.array(points), len(points)
     moved, progress = np.empty_like(points), np.zeros(3, dtype=np.int64)
-    arrays = (damped, _PULLS), (points, 2 * n), (moved, 2 * n)
+    arrays = (_DAMPED, _PULLS), (points, 2 * n), (moved, 2 * n)
     while progress[0] < _PULLS:
         field.call(_PULLED_KERNEL, (n, _PULLS), (2.0 * field.spacing, room, _STIFFNESS), arrays, progress)
     return points
@@ -171,7 +173,7 @@ def _pulled(points: FloatArray, field: DistanceField, room: float) -> FloatArray
     """Return the points of an elastic band after all iterations. Shape (n, 2) [m]."""
     points, step = np.array(points), 2.0 * field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, because pushes between two walls overshoot the middle
+    for damped in _DAMPED:
         inner = points[1:-1]
         lower, upper = field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)

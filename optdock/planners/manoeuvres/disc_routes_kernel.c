@@ -46,26 +46,26 @@ static double value_at(Field *field, int64_t i, int64_t j)
     return field->values[TILE * TILE * field->slots[tile] + TILE * (i % TILE) + j % TILE];
 }
 
-/* Advance a wave by one cell from the front, the cells from `begin` to `end` of the queue, and return the new end. The
- * first pass computes missing tiles; if they all have values, the second pass appends the new front. */
+/* Advance a wave by one cell from the front, the cells from `begin` to `end` of the queue, and return the new end. If
+ * tiles are missing, the wave is not changed. */
 static int64_t advance(Field *field, double beside, double radius, int64_t count, double *steps, int64_t *queue,
                        int64_t begin, int64_t end)
 {
     int64_t side = TILE * field->shape[0], ways = count % 2 ? 4 : 8, last = end;
-    for (int pass = 0; pass < 2 && !field->is_short; pass++) {
-        for (int64_t q = begin; q < end; q++) {
-            for (int64_t way = 0; way < ways; way++) {
-                int64_t i = queue[q] / side + AROUND[way][0], j = queue[q] % side + AROUND[way][1];
-                if (i < 0 || i >= side || j < 0 || j >= side || steps[side * i + j] != 0.0)
-                    continue;
-                double value = value_at(field, i, j);
-                if (pass && value + beside >= radius) {
-                    steps[side * i + j] = (double)(count + 2);
-                    queue[last++] = side * i + j;
-                }
+    for (int64_t q = begin; q < end; q++) {
+        int64_t row = queue[q] / side, column = queue[q] % side;
+        for (int64_t way = 0; way < ways; way++) {
+            int64_t i = row + AROUND[way][0], j = column + AROUND[way][1];
+            if (i < 0 || i >= side || j < 0 || j >= side || steps[side * i + j] != 0.0)
+                continue;
+            if (value_at(field, i, j) + beside >= radius) {
+                steps[side * i + j] = (double)(count + 2);
+                queue[last++] = side * i + j;
             }
         }
     }
+    while (field->is_short && last > end)
+        steps[queue[--last]] = 0.0;
     return last;
 }
 

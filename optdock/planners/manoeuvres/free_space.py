@@ -92,14 +92,13 @@ class FreeSpace:
         self.problem, self.poll = problem, poll
         self.footprint: Footprint = problem.robot.footprint
         self.obstacles = problem.all_obstacles
-        ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
-        self._start, self._goal = ends[:, :2]
+        self._start, self._goal = problem.start.as_array()[:2], problem.goal.as_array()[:2]
         clearances = end_clearances(problem)
         self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
         self._reach = self.footprint.circumscribed_radius + problem.path_clearance.required
         self.width = min(self.footprint.width, self.footprint.length)
         side = max(_SIDE * self.width, 2.0 * float(np.abs(self._goal - self._start).max()))
-        self._square = np.array((*ends[:, :2].mean(axis=0), side))
+        self._square = np.array((*(0.5 * (self._start + self._goal)).tolist(), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
         self.levels = []
         for across in (1, _FINE_DISCS):  # a millisecond each for a new footprint with 60 corners
@@ -182,7 +181,7 @@ class FreeSpace:
             *(max(self._start_clearance, 0.0), max(self._goal_clearance, 0.0), _MARGIN_SLOPE),
             *(TOLERANCE, self.footprint.circumscribed_radius),
         )
-        circles = [np.ravel((*one.centres.T, *one[1:])) for one in self.levels]
+        circles = [part for one in self.levels for part in (*one.centres.T, one.cover, one.inside)]
         numbers = np.concatenate((rules, *circles, robot.numbers))
         near, work = np.empty(m, dtype=np.int64), np.empty(2 * (robot.corners + k + robot.circles))
         return tuple([(part, part.size) for part in (sizes, numbers, near, work)])
@@ -196,7 +195,8 @@ def _are_free_native(space: FreeSpace, poses: FloatArray, margin: float, start_r
     free = np.empty(n, dtype=np.int64)
     arrays = (np.ascontiguousarray(poses), 3 * n), (free, n)
     space.check(_POSES_KERNEL, (n,), (), arrays, (margin, start_relief))
-    return free.astype(np.bool_)
+    found: BoolArray = free != 0
+    return found
 
 
 @twin_of(_are_free_native)

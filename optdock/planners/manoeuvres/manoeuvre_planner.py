@@ -291,7 +291,6 @@ class Stages:
             return
         start = self.trees.from_start()
         found = connections(*all_pairs(TreeNodes(start, ROOT), staging), effort.radius, self.space, _WORDS_PER_PAIR)
-        self._poll()
         found = found.rows(slice(int(found.prices.searchsorted(self._worthwhile()))))
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
         ways = with_last(found.lengths, -staging.tree.lengths[found.entries])
@@ -341,7 +340,8 @@ class Stages:
             way = self._wave_for_routes.way(target)
             if way is None:
                 return
-            route = elastic_band(np.stack((start[:2], *way[1:-1], target)), self.space, effort.radius + radius)
+            route = np.concatenate((start[None, :2], way[1:-1], target[None]))
+            route = elastic_band(route, self.space, effort.radius + radius)
             ways = roadmap_ways(exits, entries, self.space, effort, route, self._worthwhile)
             yield from self._offered("roadmap", ways)
 
@@ -405,7 +405,6 @@ class Stages:
             if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
-            self._poll()
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:
