@@ -32,22 +32,29 @@ static void point_at(double u, int64_t n, int64_t degree, const double *knots, c
  * eq. 3.3), in (-pi, pi]; NaN where it is zero.
  *
  *   m, n, degree   numbers of parameters and of control points, n > degree >= 1
- *   u              (m,), parameters
+ *   u              (m,), parameters, clipped to [0, 1]
  *   knots          (n + degree + 1,), ascending
  *   points         (n, 2), control points [m]
  *   work           (n + degree, 2)
- *   poses          out, (m, 3) [m, m, rad] */
+ *   poses          out, (m, 3) [m, m, rad]
+ *   stays          out, (m,), rows of the poses without a direction
+ *
+ * Return the number of poses without a direction. */
 int64_t optdock_spline_poses(int64_t m, int64_t n, int64_t degree, const double *u, const double *knots,
-                             const double *points, double *work, double *poses)
+                             const double *points, double *work, double *poses, int64_t *stays)
 {
     double *others = work + 2 * (degree + 1), slope[2]; /* control points of the derivative */
+    int64_t count = 0;
     for (int64_t k = 0; k < 2 * (n - 1); k++)
         others[k] = (double)degree * (points[k + 2] - points[k]) / (knots[k / 2 + degree + 1] - knots[k / 2 + 1]);
     for (int64_t i = 0; i < m; i++) {
-        point_at(u[i], n, degree, knots, points, work, poses + 3 * i);
-        point_at(u[i], n - 1, degree - 1, knots + 1, others, work, slope);
+        double at = u[i] < 0.0 ? 0.0 : u[i] > 1.0 ? 1.0 : u[i];
+        point_at(at, n, degree, knots, points, work, poses + 3 * i);
+        point_at(at, n - 1, degree - 1, knots + 1, others, work, slope);
         double yaw = slope[0] == 0.0 && slope[1] == 0.0 ? NAN : atan2(slope[1], slope[0]);
         poses[3 * i + 2] = yaw == -3.141592653589793 ? 3.141592653589793 : yaw;
+        if (yaw != yaw)
+            stays[count++] = i;
     }
-    return 0;
+    return count;
 }

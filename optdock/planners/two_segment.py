@@ -39,7 +39,7 @@ from optdock.plugins.parameters import PluginParameters
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Pose2
     from optdock.model.costmap import Costmap
 
@@ -436,14 +436,16 @@ def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float
     """
     distance = np.hypot(*(centreline - start).T)
     nearest = int((distance <= distance.min() + _SAME_DISTANCE).argmax())
-    rays = start, centreline, distance
-    toward = _first_wide(*rays, np.arange(nearest, 0, -1), centreline[0], angle_threshold)
+    back = slice(nearest, 0, -1)
+    steps = _first_wide(start, centreline[back], distance[back], centreline[0], angle_threshold)
+    toward = None if steps is None else nearest - steps
     if toward is not None and _fits(distance[toward], centreline[toward], centreline[0]):
         return _toward(start, centreline, toward, distance[toward])
     if _distance_to_line(start, centreline) <= _ON_AXIS:
         return Joint(JointKind.TOWARD, 0, _straight(start, centreline[0]))
-    indices = np.arange(nearest, len(centreline))
-    away = _first_wide(*rays, indices, centreline[-1], angle_threshold - _REVERSE_SLACK)
+    on = slice(nearest, None)
+    steps = _first_wide(start, centreline[on], distance[on], centreline[-1], angle_threshold - _REVERSE_SLACK)
+    away = None if steps is None else nearest + steps
     if away is not None and _fits(distance[away], centreline[away], centreline[-1]):
         return Joint(JointKind.AWAY, away, np.array([start, centreline[away], centreline[-1]]))
     return Joint(JointKind.CORNER, -1, _straight(start, centreline[nearest]))
@@ -463,15 +465,15 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 
 
 def _first_wide(
-    start: FloatArray, line: FloatArray, distance: FloatArray, indices: IntArray, end: FloatArray, threshold: float
+    start: FloatArray, line: FloatArray, distance: FloatArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """Return the first of `indices` at which the angle between the rays to `start` and `end` reaches the threshold.
+    """Return the first point of a line at which the angle between the rays to `start` and `end` reaches the threshold.
 
     `distance`: distances of the points of the line from `start`, Shape (n,) [m].
     """
-    real = distance[indices] > _SAME_DISTANCE  # a ray of rounding noise has no angle
-    wide = (interior_angles(line[indices], start, end) >= threshold - _SAME_ANGLE) & real
-    return int(indices[wide.argmax()]) if wide.any() else None
+    # A ray of rounding noise has no angle.
+    wide = (interior_angles(line, start, end) >= threshold - _SAME_ANGLE) & (distance > _SAME_DISTANCE)
+    return int(wide.argmax()) if wide.any() else None
 
 
 def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:

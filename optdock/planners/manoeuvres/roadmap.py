@@ -9,6 +9,7 @@ vertices of the roadmap are random).
 from __future__ import annotations
 
 import heapq
+import math
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -51,9 +52,9 @@ class _Edges(NamedTuple):
 class _Labels(NamedTuple):
     """The cheapest known paths to all vertices: their prices, the gears at their ends, and their last edges."""
 
-    prices: FloatArray
-    gears: FloatArray
-    edges: IntArray
+    prices: list[float]
+    gears: list[float]
+    edges: list[int]
 
 
 # Bound of a whole path, price of the path so far and its last edge; then the other ones that leave the same vertex.
@@ -100,7 +101,12 @@ class _LazySearch:
         self._station = np.concatenate((first, free % self._count, last))
         self._begin, self._end = self._out.size, self._out.size + free.size
         self._edges = self._words()
-        self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1))
+        self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1)).tolist()
+        # Of the edges; the last ones are bounds of the price from the target to the entries.
+        self._targets, self._prices = self._edges.targets.tolist(), self._edges.prices.tolist()
+        self._begins = self._edges.begins.tolist()
+        left = self._count - self._station[self._edges.targets]
+        self._rest = (left * self._spacing / self._speed).tolist()
 
     def _words(self) -> _Edges:
         """Return words between vertices that are close to each other along the route, in gears allowed at both ends."""
@@ -124,8 +130,8 @@ class _LazySearch:
         """Yield complete paths of free words with their prices as they are found."""
         self._space.poll()
         count, opened = len(self._poses), list[_Open]()
-        labels = _Labels(np.full(count, np.inf), np.zeros(count), np.full(count, -1))
-        labels.prices[: self._begin], labels.gears[: self._begin] = self._exits.nodes[self._out, 3:5].T
+        labels = _Labels([math.inf] * count, [0.0] * count, [-1] * count)
+        labels.prices[: self._begin], labels.gears[: self._begin] = self._exits.nodes[self._out, 3:5].T.tolist()
         for vertex in range(self._begin):
             self._push(vertex, labels, opened)
         checked, most = 0, _MOST_CHECKS
@@ -133,10 +139,14 @@ class _LazySearch:
             some = self._next(opened, labels)
             checked += len(some)
             for (price, edge), is_free in zip(some, self._are_free([edge for _, edge in some]), strict=True):
-                target = int(self._edges.targets[edge])
+                target = self._targets[edge]
                 if not is_free or labels.prices[target] <= price:
                     continue
-                labels.prices[target], labels.gears[target], labels.edges[target] = price, self._edges.ends[edge], edge
+                labels.prices[target], labels.gears[target], labels.edges[target] = (
+                    price,
+                    float(self._edges.ends[edge]),
+                    edge,
+                )
                 if target < self._end:
                     self._push(target, labels, opened)
                     continue
@@ -147,16 +157,17 @@ class _LazySearch:
 
     def _push(self, vertex: int, labels: _Labels, opened: list[_Open]) -> None:
         """Push the words that leave a vertex for a better label, with the price so far plus a bound for the rest."""
-        some = slice(self._of[vertex], self._of[vertex + 1])
-        changes, targets = self._edges.begins[some] * labels.gears[vertex] < 0.0, self._edges.targets[some]
-        prices = labels.prices[vertex] + self._edges.prices[some] + self._stop * changes
-        bounds = prices + (self._count - self._station[targets]) * self._spacing / self._speed
-        better = (prices < labels.prices[targets]).nonzero()[0]
-        better = better[np.lexsort((prices[better], bounds[better]))]
+        before, gear = labels.prices[vertex], labels.gears[vertex]
+        better = [
+            (price + self._rest[edge], price, edge)
+            for edge in range(self._of[vertex], self._of[vertex + 1])
+            if (price := before + self._prices[edge] + self._stop * (self._begins[edge] * gear < 0.0))
+            < labels.prices[self._targets[edge]]
+        ]
         # Few of them are ever examined, so that only the first one is pushed, and the next one when it is popped.
-        rest = zip(bounds[better].tolist(), prices[better].tolist(), (some.start + better).tolist(), strict=True)
-        if better.size:
-            heapq.heappush(opened, (*next(rest), rest))
+        if better:
+            first, *others = sorted(better)
+            heapq.heappush(opened, (*first, iter(others)))
 
     def _next(self, opened: list[_Open], labels: _Labels) -> list[tuple[float, int]]:
         """Pop the next words to check, with the prices of the paths to their ends."""
@@ -168,7 +179,7 @@ class _LazySearch:
                 heapq.heappop(opened)
             else:
                 heapq.heapreplace(opened, (*following, rest))
-            if price < labels.prices[self._edges.targets[edge]]:
+            if price < labels.prices[self._targets[edge]]:
                 some.append((price, edge))
         return some
 
@@ -185,7 +196,7 @@ class _LazySearch:
     def _way(self, vertex: int, labels: _Labels) -> Arcs:
         """Return the whole path that ends at an entry."""
         parts = [self._entries.way(int(self._into[vertex - self._end]))]
-        while (edge := int(labels.edges[vertex])) >= 0:
+        while (edge := labels.edges[vertex]) >= 0:
             parts.append((self._edges.lengths[edge], self._edges.curvatures[edge]))
             vertex = int(self._edges.sources[edge])
         parts.append(self._exits.way(int(self._out[vertex])))
