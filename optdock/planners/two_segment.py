@@ -275,8 +275,6 @@ def plan_two_segment(  # noqa: PLR0913 - two poses, what to plan with, and how t
         NoValidPathCouldBeFound: If a rule of the method is violated; the message names the step and the amount.
         PlannerCancelled: If `cancel_checker` returned True.
     """
-    if cancel_checker():
-        raise PlannerCancelled("dock planner: cancelled before it began")
     if parameters.check_free_space:
         _check_free_ends(start, goal, costmap, parameters.cost_threshold)
     axis = approach_axis(start, goal, geometry, parameters)
@@ -294,8 +292,6 @@ def plan_two_segment(  # noqa: PLR0913 - two poses, what to plan with, and how t
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
     second = sampler.poses(_straight(last, axis.goal), axis.direction, "segment 2")
-    if cancel_checker():
-        raise PlannerCancelled("dock planner: cancelled after the sampling")
     return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction), frame), axis, joint)
 
 

@@ -102,9 +102,8 @@ class FreeSpace:
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
         self.levels = []
         for across in (1, _FINE_DISCS):  # a millisecond each for a new footprint with 60 corners
-            poll()
             self.levels.append(_discs(self.footprint, across))
-        poll()
+            poll()
         robot = packed_footprint(self.footprint)
         self._at_once = max(1, _AT_ONCE // (robot.corners * len(robot.sizes) + 4))
 
