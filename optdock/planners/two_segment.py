@@ -105,23 +105,24 @@ class DockPlannerParameters(PluginParameters):
         return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
 
 
-_SAME_POSITION = 1e-9  # [m]
-
-
 class DockGeometry(NamedTuple):
-    """Sizes of the robot and the dock [m].
+    """Sizes of the robot and the dock [m], and the direction in which the dock is entered.
 
-    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius.
+    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius. The direction of
+    the parameters takes precedence unless it is auto.
     """
 
     robot_length: float
     robot_radius: float
     dock_length: float = 0.0
+    direction: DockDirection = DockDirection.AUTO
 
     @classmethod
-    def from_footprints(cls, robot: Footprint, dock: Footprint | None = None) -> DockGeometry:
+    def from_footprints(
+        cls, robot: Footprint, dock: Footprint | None = None, direction: DockDirection = DockDirection.AUTO
+    ) -> DockGeometry:
         """Return the sizes of two outlines; the length of the dock is 0 if `dock` is None."""
-        return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length)
+        return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length, direction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +192,8 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
     ahead = c * dx + s * dy
     # The robot comes from behind the docked pose when it drives in forward.
     direction = Direction.REVERSE if ahead > 0.0 else Direction.FORWARD
-    _check_direction(direction, parameters.direction, ahead)
+    wanted = geometry.direction if parameters.direction is DockDirection.AUTO else parameters.direction
+    _check_direction(direction, wanted, ahead)
     along = abs(ahead)
     if not along > distance_min_c + _SAME_POSITION:
         raise NoValidPathCouldBeFound(

@@ -168,7 +168,7 @@ class FreeSpace:
     @functools.cached_property
     def _packed(self) -> KernelArrays:
         """Return the arrays from `sizes` to `work` of the kernels; see `SPACE_PARAMETERS` in C."""
-        rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.obstacles
+        rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.field.obstacles
         (m, k, _), bodies = rocks.vertices.shape, len(robot.sizes)
         levels = 1 if m * k * int(robot.sizes[:, 0].sum()) <= _FEW_CORNERS else 2
         discs = [level.cover.size for level in self.levels]
