@@ -1,6 +1,6 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
  * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_extensions`, `are_free`,
- * `first_free` and `may_be_free` of `arcs.py`.
+ * `first_free`, `may_be_free` and, without a collision check, `_poses_by_gear` of `arcs.py`.
  *
  * Tiles of the field are computed when a pose first needs them. The signed distance of convex polygons is the largest
  * gap over the edge normals of both and the direction between the nearest vertices, as in `geometry/separation.py`. Only
@@ -546,5 +546,40 @@ int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t mo
         may[i] = found;
     }
     progress[0] = i;
+    return 0;
+}
+
+/* Poses of a sequence of arcs, gear by gear: the poses of every arc without its end, then the end of the gear.
+ *
+ *   n, fewest  numbers of arcs, and of poses of each that moves, without its end, at least
+ *   spacing    largest distance of the poses along an arc [m]
+ *   start      (3,); lengths, curvatures: (n,)
+ *   poses      out, room for n (fewest + 2) poses and one per spacing, (., 3)
+ *   counts     out, (n,), numbers of poses of each gear, negative in reverse
+ *   found      out, (2,), numbers of poses and of gears */
+int64_t optdock_poses_by_gear(int64_t n, int64_t fewest, double spacing, const double *start, const double *lengths,
+                              const double *curvatures, double *poses, int64_t *counts, int64_t *found)
+{
+    double joint[3] = {start[0], start[1], start[2]};
+    int64_t rows = 0, first = 0, gears = 0, gear = 0;
+    for (int64_t i = 0; i < n; i++) {
+        double length = fabs(lengths[i]), parts = ceil(length / spacing - 1e-9);
+        if (length > 1e-9) {
+            int64_t sign = lengths[i] > 0.0 ? 1 : -1;
+            if (sign * gear < 0) { /* behind the end of the last gear */
+                counts[gears++] = gear * (++rows - first);
+                first = rows;
+            }
+            gear = sign;
+            parts = parts < (double)fewest ? (double)fewest : parts;
+            for (double rank = 0.0; rank < parts; rank += 1.0)
+                advance(joint, lengths[i] * rank / parts, curvatures[i], poses + 3 * rows++);
+            advance(joint, lengths[i], curvatures[i], poses + 3 * rows); /* the end, if it is that of a gear */
+        }
+        advance(joint, lengths[i], curvatures[i], joint);
+    }
+    counts[gears++] = gear * (++rows - first);
+    found[0] = rows;
+    found[1] = gears;
     return 0;
 }
