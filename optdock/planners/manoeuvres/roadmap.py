@@ -57,8 +57,8 @@ class _Labels(NamedTuple):
     edges: list[int]
 
 
-# Bound of a whole path, price of the path so far and its last edge; then the other ones that leave the same vertex.
-_Open: TypeAlias = tuple[float, float, int, "Iterator[tuple[float, float, int]]"]
+# Words that leave one vertex, in ascending order: bound of a whole path, price of the path so far, and its last edge.
+_Words: TypeAlias = list[tuple[float, float, int]]
 
 
 def roadmap_ways(
@@ -129,7 +129,7 @@ class _LazySearch:
     def ways(self) -> Iterator[tuple[float, Arcs]]:
         """Yield complete paths of free words with their prices as they are found."""
         self._space.poll()
-        count, opened = len(self._poses), list[_Open]()
+        count, opened = len(self._poses), list[_Words]()
         labels = _Labels([math.inf] * count, [0.0] * count, [-1] * count)
         labels.prices[: self._begin], labels.gears[: self._begin] = self._exits.nodes[self._out, 3:5].T.tolist()
         for vertex in range(self._begin):
@@ -155,7 +155,7 @@ class _LazySearch:
                 turns = bool(labels.gears[target] * -self._entries.signs[row] < 0.0)
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
-    def _push(self, vertex: int, labels: _Labels, opened: list[_Open]) -> None:
+    def _push(self, vertex: int, labels: _Labels, opened: list[_Words]) -> None:
         """Push the words that leave a vertex for a better label, with the price so far plus a bound for the rest."""
         before, gear = labels.prices[vertex], labels.gears[vertex]
         better = [
@@ -164,21 +164,18 @@ class _LazySearch:
             if (price := before + self._prices[edge] + self._stop * (self._begins[edge] * gear < 0.0))
             < labels.prices[self._targets[edge]]
         ]
-        # Few of them are ever examined, so that only the first one is pushed, and the next one when it is popped.
         if better:
-            first, *others = sorted(better)
-            heapq.heappush(opened, (*first, iter(others)))
+            heapq.heappush(opened, sorted(better))
 
-    def _next(self, opened: list[_Open], labels: _Labels) -> list[tuple[float, int]]:
+    def _next(self, opened: list[_Words], labels: _Labels) -> list[tuple[float, int]]:
         """Pop the next words to check, with the prices of the paths to their ends."""
         some: list[tuple[float, int]] = []
         while opened and len(some) < _BATCH:
-            _, price, edge, rest = opened[0]
-            following = next(rest, None)
-            if following is None:
-                heapq.heappop(opened)
+            (_, price, edge), *others = opened[0]
+            if others:
+                heapq.heapreplace(opened, others)
             else:
-                heapq.heapreplace(opened, (*following, rest))
+                heapq.heappop(opened)
             if price < labels.prices[self._targets[edge]]:
                 some.append((price, edge))
         return some
