@@ -188,20 +188,22 @@ class Stages:
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
     ) -> None:
         self.problem, self._poll, self._better_than = problem, poll, better_than
-        footprint = problem.robot.footprint
-        self.radius = turning_radius(problem)
-        margin = 0.02 * footprint.width
-        eased, sharp = slack * self.radius, self.radius
+        self.radius, self._slack = turning_radius(problem), slack
+        self._known: list[_Way] = []
+
+    @functools.cached_property
+    def _efforts(self) -> tuple[Effort, ...]:
+        problem, margin = self.problem, 0.02 * self.problem.robot.footprint.width
+        eased, sharp = self._slack * self.radius, self.radius
         # The weaker clearance rule of a start along a wall comes last; the certificate also tries the strict one first.
         is_too_close = end_clearances(problem).start < problem.path_clearance.required
         relief = problem.start_run if is_too_close else 0.0
-        self._efforts: tuple[Effort, ...] = (
+        return (
             Effort(eased, margin, 12, 4000),
             Effort(sharp, margin, 12, 4000),
             Effort(eased, 0.0, 24, 4000, relief),
             Effort(sharp, 0.0, 80, 8000, relief),
         )
-        self._known: list[_Way] = []
 
     def guesses(self) -> Iterator[Guess | None]:
         """Yield the guesses of all stages, the first of them after a few milliseconds."""
