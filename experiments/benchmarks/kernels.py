@@ -50,7 +50,7 @@ _KERNELS = {
     "roll-out": (initial_guess, "roll_out"),
     "sensitivity": (loop, "sensitivity"),
     "goal projection": (loop, "project_and_roll_out"),
-    "points of curves": (nurbs, "_spline_at"),
+    "points of curves": (nurbs, "_poses_at"),
     "cheapest words": (connections, "words_between"),
     "prices of paths": (manoeuvre_planner, "least_prices"),
     "tiles of the field": (distance_field, "_tile_values"),

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,7 @@ from optdock.kernels import Kernel, twin_of
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["Nurbs", "shares"]
 
@@ -74,9 +76,10 @@ class Nurbs(FrozenArrays):
     @property
     def speed_bound(self) -> float:
         """Upper bound of |dC/du|: the largest norm of a control point of the derivative ([Piegl1997] eq. 3.4)."""
-        span = self.knots[self.degree + 1 : -1] - self.knots[1 : -self.degree - 1]
-        dx, dy = (self.control_points[1:] - self.control_points[:-1]).T
-        return float((self.degree * np.sqrt(dx * dx + dy * dy) / span).max())
+        knots, points, degree = self.knots.tolist(), self.control_points.tolist(), self.degree
+        spans = zip(knots[1:], knots[degree + 1 : -1], itertools.pairwise(points), strict=False)
+        speeds: list[float] = [degree * math.dist(a, b) / (until - since) for since, until, (a, b) in spans]
+        return max(speeds)
 
     def points_at(self, u: ArrayLike) -> FloatArray:
         """Return the points of the curve at parameters `u`. Shape (m, 2) [m]."""
@@ -92,17 +95,11 @@ class Nurbs(FrozenArrays):
         Where the first derivative is zero, the direction follows from the second derivative, reversed at u = 1. The
         direction is NaN where both derivatives are zero.
         """
-        points, heading = _spline_at(_clipped(u), self.knots, self.control_points, self.degree)
-        moves = (heading[:, 0] != 0.0) | (heading[:, 1] != 0.0)
-        if not moves.all():
-            second = self._derivative(u, 2)
-            heading = np.where(moves[:, None], heading, np.where(vector(u)[:, None] >= 1.0, -second, second))
-            moves = (heading[:, 0] != 0.0) | (heading[:, 1] != 0.0)
-        poses = np.empty((len(points), 3))
-        poses[:, :2], yaw = points, poses[:, 2]
-        np.arctan2(heading[:, 1], heading[:, 0], out=yaw)
-        yaw[yaw == -np.pi] = np.pi
-        yaw[~moves] = np.nan
+        places = vector(u)
+        poses, stays = _poses_at(places, self.knots, self.control_points, self.degree)
+        if stays.size:
+            second = self._derivative(places[stays], 2)
+            poses[stays, 2] = _directions(np.where(places[stays, None] >= 1.0, -second, second))
         return poses
 
     def _derivative(self, u: ArrayLike, order: int) -> FloatArray:
@@ -112,7 +109,7 @@ class Nurbs(FrozenArrays):
             if degree == 0:  # the derivative of a constant
                 return np.zeros((vector(u).size, 2))
             points, knots, degree = _slopes(knots, points, degree), knots[1:-1], degree - 1
-        return _spline_at(_clipped(u), knots, points, degree)[0]
+        return _points_at(_clipped(u), knots, points, degree)
 
 
 def _clipped(u: ArrayLike) -> FloatArray:
@@ -127,24 +124,34 @@ def _slopes(knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:
     return slopes
 
 
-_KERNEL = Kernel("optdock_spline", sizes=3, numbers=0)
+def _directions(heading: FloatArray) -> FloatArray:
+    """Return the directions of vectors, Shape (m, 2), in (-pi, pi], and NaN for those without length. Shape (m,)."""
+    yaw = np.arctan2(heading[:, 1], heading[:, 0])
+    yaw[yaw == -np.pi] = np.pi
+    yaw[(heading == 0.0).all(axis=1)] = np.nan
+    return yaw
 
 
-def _spline_native(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+_KERNEL = Kernel("optdock_spline_poses", sizes=3, numbers=0)
+
+
+def _poses_native(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> tuple[FloatArray, IntArray]:
     m, n = u.size, len(points)
-    work, found, slopes = np.empty((n + degree, 2)), np.empty((m, 2)), np.empty((m, 2))
-    sizes = m, n + degree + 1, 2 * n, 2 * (n + degree), 2 * m, 2 * m
-    _KERNEL((m, n, degree), (), tuple(zip((u, knots, points, work, found, slopes), sizes, strict=True)))
-    return found, slopes
+    work, poses, stays = np.empty((n + degree, 2)), np.empty((m, 3)), np.empty(m, dtype=np.int64)
+    arrays = (u, m), (knots, n + degree + 1), (points, 2 * n), (work, 2 * (n + degree)), (poses, 3 * m), (stays, m)
+    return poses, stays[: _KERNEL((m, n, degree), (), arrays)]
 
 
-@twin_of(_spline_native)
-def _spline_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return the points and the first derivatives of a B-spline at `u`. Shape (m, 2) each."""
-    found = _points_at(u, knots, points, degree)
-    if degree == 0:
-        return found, np.zeros_like(found)
-    return found, _points_at(u, knots[1:-1], _slopes(knots, points, degree), degree - 1)
+@twin_of(_poses_native)
+def _poses_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> tuple[FloatArray, IntArray]:
+    """Return points of a B-spline of degree >= 1 at clipped parameters, with the directions of its first derivative.
+
+    Shape (m, 3), and the rows of those where the derivative is zero, whose direction is NaN.
+    """
+    u = _clipped(u)
+    slopes = _points_at(u, knots[1:-1], _slopes(knots, points, degree), degree - 1)
+    poses = np.column_stack((_points_at(u, knots, points, degree), _directions(slopes)))
+    return poses, np.isnan(poses[:, 2]).nonzero()[0]
 
 
 def _points_at(u: FloatArray, knots: FloatArray, points: FloatArray, degree: int) -> FloatArray:

@@ -200,8 +200,9 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
 def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray:
     """Return the poses, Shape (n, 3), on the axis at the distances `before` from the dock, Shape (n,) [m]."""
     goal, back = problem.goal, -gear * before
-    x, y = goal.x + back * math.cos(goal.yaw), goal.y + back * math.sin(goal.yaw)
-    poses: FloatArray = np.column_stack((x, y, np.full(before.size, goal.yaw)))
+    poses = np.empty((before.size, 3))
+    poses[:, 0], poses[:, 1] = goal.x + back * math.cos(goal.yaw), goal.y + back * math.sin(goal.yaw)
+    poses[:, 2] = goal.yaw
     return poses
 
 

@@ -48,7 +48,7 @@ from optdock.verification.clearance_kernel import end_clearances
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.model.problem import DockingProblem
 
 __all__ = ["ImpossibilitySearch", "prove_impossible"]
@@ -150,9 +150,6 @@ class _Search:
     def __init__(self, problem: DockingProblem, body: DiscCover, deadline: Deadline) -> None:
         self.problem, self.body, self.deadline = problem, body, deadline
         self.start_clearance = end_clearances(problem).start
-        self.grid = self._grid()
-        self.obstacles = ObstacleLattice(problem, self.grid.origin, self._look)
-        self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
         self.known: dict[tuple[int, int, int], Tile] = {}
 
     @functools.cached_property
@@ -162,8 +159,19 @@ class _Search:
         graph.add([Tile(-self.grid.above, 0, 0)])
         return graph
 
-    def _grid(self) -> CellGrid:
-        """Return a grid of tiles that covers start, goal and the obstacles that are near enough to be relevant."""
+    @functools.cached_property
+    def obstacles(self) -> ObstacleLattice:
+        """Obstacles relative to the grid."""
+        return ObstacleLattice(self.problem, self.grid.origin, self._look)
+
+    @functools.cached_property
+    def ends(self) -> list[FloatArray]:
+        """Poses of start and goal relative to the grid, Shape (3,) each [m, m, rad]."""
+        return [_middle(pose, self.body.centre, self.grid.origin) for pose in (self.problem.start, self.problem.goal)]
+
+    @functools.cached_property
+    def grid(self) -> CellGrid:
+        """Grid of tiles that covers start, goal and the obstacles that are near enough to be relevant."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
@@ -186,32 +194,39 @@ class _Search:
 
         A coarser lattice with a margin, which connects them in most open scenes, is examined first.
         """
-        self.deadline = deadline
-        return any(self._is_connected(nodes, margin) for nodes, margin in _LATTICES)
+        self.deadline, radius = deadline, float(self.body.discs[0, 2])
+        border, origin = radius + self.problem.path_clearance.required, np.zeros(2)
+        ends = np.array(
+            [_middle(pose, self.body.centre, origin)[:2] for pose in (self.problem.start, self.problem.goal)]
+        )
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        side = float((high - low).max()) + 2.0 * (border + _AROUND * radius)
+        corner = 0.5 * (low + high - side)
+        obstacles = ObstacleLattice(self.problem, corner, self._look)
+        for nodes, margin in _LATTICES:
+            step = side / (nodes - 1)
+            if margin * step > radius:
+                continue  # a wall might be missed between two nodes
+            clearance = obstacles.distances(origin, step, nodes) - radius - margin * step
+            is_free = self._is_enough(clearance, corner, step)
+            # Nodes near the border are not valid: obstacles outside were not examined.
+            kept = slice(math.ceil(border / step), -math.ceil(border / step))
+            labels = np.full(is_free.shape, -1)
+            labels[kept, kept] = connected_cells(is_free[None, kept, kept].astype(np.int64))[0][0]
+            around = np.rint((ends - corner) / step).astype(np.int64).tolist()
+            found = [set(labels[j - 1 : j + 2, i - 1 : i + 2].flat) for i, j in around]
+            if set.intersection(*found) - {-1}:
+                return True
+        return False
 
-    def _is_connected(self, nodes: int, margin: float) -> bool:
-        """Whether free nodes connect start and goal on a lattice with `nodes` along each side.
-
-        `margin`: clearance above the required one at free nodes, in steps of the lattice.
-        """
-        _, _, radius = self.body.discs[0].tolist()
-        ends, border = np.array(self.ends)[:, :2], radius + self.problem.path_clearance.required
-        side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
-        corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (nodes - 1)
-        if margin * step > radius:
-            return False  # a wall might be missed between two nodes
-        clearance = self.obstacles.distances(corner, step, nodes) - radius - margin * step
-        is_free = clearance >= self.problem.path_clearance.required
+    def _is_enough(self, clearance: FloatArray, corner: FloatArray, step: float) -> BoolArray:
+        """Whether the disc has the required clearance at the nodes of a lattice, given its clearances, Shape (n, n)."""
+        is_free: BoolArray = clearance >= self.problem.path_clearance.required
         row, column = (~is_free & (clearance >= 0.0)).nonzero()  # free if less is required there
-        x, y = (self.grid.origin + corner)[:, None] + step * np.stack((column, row))
+        x, y = corner[0] + step * column, corner[1] + step * row
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
         is_free[row, column] = clearance[row, column] >= required
-        # Nodes near the border are not valid: obstacles outside were not examined.
-        kept = slice(math.ceil(border / step), -math.ceil(border / step))
-        labels = np.full(is_free.shape, -1)
-        labels[kept, kept] = connected_cells(is_free[None, kept, kept].astype(np.int64))[0][0]
-        found = [set(labels[j - 1 : j + 2, i - 1 : i + 2].flat) for i, j in np.rint((ends - corner) / step).astype(int)]
-        return bool(set.intersection(*found) - {-1})
+        return is_free
 
     def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
         """Split the narrow tiles on the cheapest route until no route is left or one route is open.
@@ -483,4 +498,5 @@ class _Search:
 
 def _middle(pose: Pose2, centre: FloatArray, origin: FloatArray) -> FloatArray:
     """Return the position of a point of the robot relative to an origin, and the heading, for a pose. Shape (3,)."""
-    return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0] - origin, pose.yaw)
+    x, y = (transform_points(pose.as_array()[None], centre[None])[0, 0] - origin).tolist()
+    return np.array((x, y, pose.yaw))

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.arrays import readonly
 from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
@@ -25,13 +24,9 @@ class ObstacleLattice:
 
     def __init__(self, problem: DockingProblem, origin: FloatArray, look: Callable[[], None]) -> None:
         everything, self.look = problem.all_obstacles, look
-        self.normals, self.vertices = everything.normals, readonly(everything.vertices - origin)
-        self.offsets = readonly((self.normals * self.vertices).sum(axis=2))
-        self.lower, self.upper = readonly(everything.lower - origin), readonly(everything.upper - origin)
-        starts, ends = self.vertices.reshape(-1, 2), np.roll(self.vertices, -1, axis=1).reshape(-1, 2)
-        kept = (starts != ends).any(axis=1)
-        self.starts, self.along = readonly(starts[kept]), readonly((ends - starts)[kept])
-        self.low, self.high = readonly(np.minimum(starts, ends)[kept]), readonly(np.maximum(starts, ends)[kept])
+        self.normals, self.vertices = everything.normals, everything.vertices - origin
+        self.offsets = (self.normals * self.vertices).sum(axis=2)
+        self.lower, self.upper = everything.lower - origin, everything.upper - origin
 
     def distances(self, corner: FloatArray, step: float, count: int) -> FloatArray:
         """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
@@ -66,8 +61,10 @@ class ObstacleLattice:
 
     def samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
         """Return points of the outlines clipped to a square ([Liang1984]), at most `spacing` apart, Shape (n, 2)."""
-        rows = ((self.low <= corner + extent) & (self.high >= corner)).all(axis=1).nonzero()[0]
-        start, along = self.starts[rows] - corner, self.along[rows]
+        start, end = self.vertices.reshape(-1, 2), np.roll(self.vertices, -1, axis=1).reshape(-1, 2)
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        rows = ((low <= corner + extent) & (high >= corner) & (low != high).any(axis=1, keepdims=True)).all(axis=1)
+        start, along = start[rows] - corner, (end - start)[rows]
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = -start / along, (extent - start) / along
         still = along == 0.0
@@ -83,28 +80,25 @@ class ObstacleLattice:
         return points
 
 
-_DISTANCES = Kernel("optdock_lattice_distances", sizes=4, numbers=3)
+_DISTANCES = Kernel("optdock_lattice_distances", sizes=3, numbers=3)
 _CLEARANCES = Kernel("optdock_lattice_clearances", sizes=4, numbers=0)
 
 
 def _distances_native(lattice: ObstacleLattice, corner: FloatArray, step: float, count: int) -> FloatArray:
     """Return the result of `_distances`, computed in C; its arrays are described there."""
-    (m, q, _), edges, found = lattice.vertices.shape, len(lattice.starts), np.empty((count, count))
+    (m, q, _), found = lattice.vertices.shape, np.empty((count, count))
     arrays = (
         (lattice.normals, 2 * m * q),
         (lattice.offsets, m * q),
         (lattice.lower, 2 * m),
         (lattice.upper, 2 * m),
-        (lattice.starts, 2 * edges),
-        (lattice.along, 2 * edges),
-        (lattice.low, 2 * edges),
-        (lattice.high, 2 * edges),
+        (lattice.vertices, 2 * m * q),
         (np.empty((count, count, 2)), 2 * count * count),
         (np.empty((3, count, count), dtype=np.int64), 3 * count * count),
         (np.empty((3, count), dtype=np.int64), 3 * count),
         (found, count * count),
     )
-    _DISTANCES((count, m, q, edges), (step, *corner.tolist()), arrays)
+    _DISTANCES((count, m, q), (step, *corner.tolist()), arrays)
     return found
 
 

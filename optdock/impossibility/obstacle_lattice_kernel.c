@@ -121,11 +121,16 @@ static void mark_inside(const Lattice *lattice, int64_t q, const double *normals
     }
 }
 
-/* Mark the nodes next to points of an edge from `start` (2,) [m], clipped to the lattice ([Liang1984]). */
-static void mark_edge(const Lattice *lattice, const double *start, const double *along, Sites *sites)
+/* Mark the nodes next to points of an edge from `start` to `end`, (2,) [m], clipped to the lattice ([Liang1984]). */
+static void mark_edge(const Lattice *lattice, const double *start, const double *end, Sites *sites)
 {
     double extent = lattice->step * (double)(lattice->n - 1), enter = 0.0, leave = 1.0, from[2];
+    double along[2] = {end[0] - start[0], end[1] - start[1]};
+    if (start[0] == end[0] && start[1] == end[1])
+        return; /* a repeated corner */
     for (int i = 0; i < 2; i++) {
+        if (!(smaller(start[i], end[i]) <= lattice->corner[i] + extent && larger(start[i], end[i]) >= lattice->corner[i]))
+            return;
         from[i] = start[i] - lattice->corner[i];
         if (along[i] != 0.0) {
             double first = -from[i] / along[i], second = (extent - from[i]) / along[i];
@@ -149,29 +154,26 @@ static void mark_edge(const Lattice *lattice, const double *start, const double 
 
 /* Compute upper bounds of the distances of nodes from the obstacles.
  *
- *   n, m, q, edges   nodes along each side; obstacles, their corners, and edges of all obstacles
+ *   n, m, q          nodes along each side; obstacles and their corners
  *   step             spacing of the nodes [m]; corner_x, corner_y: first node [m]
  *   normals, offsets (m, q, 2), (m, q) [m]; lower, upper: (m, 2) [m], bounding boxes
- *   starts, along, low, high (edges, 2) [m]: beginnings of the edges, their vectors, and bounding boxes
+ *   vertices         (m, q, 2) [m]
  *   points           room for (n, n, 2); room: (3, n, n) for marks, nearest rows and columns; more: (3, n)
  *   found            out, (n, n) [m] */
-int64_t optdock_lattice_distances(int64_t n, int64_t m, int64_t q, int64_t edges, double step, double corner_x,
-                                  double corner_y, const double *normals, const double *offsets, const double *lower,
-                                  const double *upper, const double *starts, const double *along, const double *low,
-                                  const double *high, double *points, int64_t *room, int64_t *more, double *found)
+int64_t optdock_lattice_distances(int64_t n, int64_t m, int64_t q, double step, double corner_x, double corner_y,
+                                  const double *normals, const double *offsets, const double *lower,
+                                  const double *upper, const double *vertices, double *points, int64_t *room,
+                                  int64_t *more, double *found)
 {
     Lattice lattice = {n, step, {corner_x, corner_y}};
     Sites sites = {room, points};
     int64_t *rows = room + n * n, *columns = room + 2 * n * n;
-    double extent = step * (double)(n - 1);
     for (int64_t i = 0; i < n * n; i++)
         sites.marks[i] = FREE;
     for (int64_t o = 0; o < m; o++)
         mark_inside(&lattice, q, normals + 2 * q * o, offsets + q * o, lower + 2 * o, upper + 2 * o, &sites);
-    for (int64_t e = 0; e < edges; e++)
-        if (low[2 * e] <= corner_x + extent && low[2 * e + 1] <= corner_y + extent && high[2 * e] >= corner_x &&
-            high[2 * e + 1] >= corner_y)
-            mark_edge(&lattice, starts + 2 * e, along + 2 * e, &sites);
+    for (int64_t e = 0; e < m * q; e++)
+        mark_edge(&lattice, vertices + 2 * e, vertices + 2 * ((e + 1) % q != 0 ? e + 1 : e + 1 - q), &sites);
     within_columns(n, sites.marks, rows);
     for (int64_t row = 0; row < n; row++) {
         for (int64_t column = 0; column < n; column++) {

@@ -85,15 +85,14 @@ class DockPlanner(GlobalPlanner):
             raise LifecycleError(
                 f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
             )
-        outline, parameters, problem = self.parameters.dock_outline, self.parameters, self.context.problem
-        if problem is not None and outline is None:
-            outline = problem.dock.footprint
-        wanted = DockDirection.AUTO if problem is None else problem.dock.direction
-        if parameters.direction is DockDirection.AUTO is not wanted:
-            parameters = parameters.model_copy(update={"direction": wanted})
-        geometry = DockGeometry.from_footprints(robot, outline)
-        frame, costmap = "" if problem is None else problem.frame, self.context.costmap
-        plan = plan_two_segment(start, goal, geometry, parameters, costmap, cancel_checker, frame=frame)
+        outline, problem, costmap = self.parameters.dock_outline, self.context.problem, self.context.costmap
+        if problem is None:
+            direction, frame = DockDirection.AUTO, ""
+        else:
+            outline = problem.dock.footprint if outline is None else outline
+            direction, frame = problem.dock.direction, problem.frame
+        geometry = DockGeometry.from_footprints(robot, outline, direction)
+        plan = plan_two_segment(start, goal, geometry, self.parameters, costmap, cancel_checker, frame=frame)
         self.context.logger.debug("%s: dir %d, %r", self.context.name, plan.joint.dir, plan.path)
         if problem is not None and self.parameters.check_free_space:
             _check_free(plan.path, (self.context.problem_at_hand(None) or problem).all_obstacles)

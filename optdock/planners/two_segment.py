@@ -39,7 +39,7 @@ from optdock.plugins.parameters import PluginParameters
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Pose2
     from optdock.model.costmap import Costmap
 
@@ -105,23 +105,24 @@ class DockPlannerParameters(PluginParameters):
         return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
 
 
-_SAME_POSITION = 1e-9  # [m]
-
-
 class DockGeometry(NamedTuple):
-    """Sizes of the robot and the dock [m].
+    """Sizes of the robot and the dock [m], and the direction in which the dock is entered.
 
-    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius.
+    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius. The direction of
+    the parameters takes precedence unless it is auto.
     """
 
     robot_length: float
     robot_radius: float
     dock_length: float = 0.0
+    direction: DockDirection = DockDirection.AUTO
 
     @classmethod
-    def from_footprints(cls, robot: Footprint, dock: Footprint | None = None) -> DockGeometry:
+    def from_footprints(
+        cls, robot: Footprint, dock: Footprint | None = None, direction: DockDirection = DockDirection.AUTO
+    ) -> DockGeometry:
         """Return the sizes of two outlines; the length of the dock is 0 if `dock` is None."""
-        return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length)
+        return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length, direction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +192,8 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
     ahead = c * dx + s * dy
     # The robot comes from behind the docked pose when it drives in forward.
     direction = Direction.REVERSE if ahead > 0.0 else Direction.FORWARD
-    _check_direction(direction, parameters.direction, ahead)
+    wanted = geometry.direction if parameters.direction is DockDirection.AUTO else parameters.direction
+    _check_direction(direction, wanted, ahead)
     along = abs(ahead)
     if not along > distance_min_c + _SAME_POSITION:
         raise NoValidPathCouldBeFound(
@@ -275,8 +277,6 @@ def plan_two_segment(  # noqa: PLR0913 - two poses, what to plan with, and how t
         NoValidPathCouldBeFound: If a rule of the method is violated; the message names the step and the amount.
         PlannerCancelled: If `cancel_checker` returned True.
     """
-    if cancel_checker():
-        raise PlannerCancelled("dock planner: cancelled before it began")
     if parameters.check_free_space:
         _check_free_ends(start, goal, costmap, parameters.cost_threshold)
     axis = approach_axis(start, goal, geometry, parameters)
@@ -294,8 +294,6 @@ def plan_two_segment(  # noqa: PLR0913 - two poses, what to plan with, and how t
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
     second = sampler.poses(_straight(last, axis.goal), axis.direction, "segment 2")
-    if cancel_checker():
-        raise PlannerCancelled("dock planner: cancelled after the sampling")
     return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction), frame), axis, joint)
 
 
@@ -436,14 +434,16 @@ def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float
     """
     distance = np.hypot(*(centreline - start).T)
     nearest = int((distance <= distance.min() + _SAME_DISTANCE).argmax())
-    rays = start, centreline, distance
-    toward = _first_wide(*rays, np.arange(nearest, 0, -1), centreline[0], angle_threshold)
+    back = slice(nearest, 0, -1)
+    steps = _first_wide(start, centreline[back], distance[back], centreline[0], angle_threshold)
+    toward = None if steps is None else nearest - steps
     if toward is not None and _fits(distance[toward], centreline[toward], centreline[0]):
         return _toward(start, centreline, toward, distance[toward])
     if _distance_to_line(start, centreline) <= _ON_AXIS:
         return Joint(JointKind.TOWARD, 0, _straight(start, centreline[0]))
-    indices = np.arange(nearest, len(centreline))
-    away = _first_wide(*rays, indices, centreline[-1], angle_threshold - _REVERSE_SLACK)
+    on = slice(nearest, None)
+    steps = _first_wide(start, centreline[on], distance[on], centreline[-1], angle_threshold - _REVERSE_SLACK)
+    away = None if steps is None else nearest + steps
     if away is not None and _fits(distance[away], centreline[away], centreline[-1]):
         return Joint(JointKind.AWAY, away, np.array([start, centreline[away], centreline[-1]]))
     return Joint(JointKind.CORNER, -1, _straight(start, centreline[nearest]))
@@ -463,15 +463,15 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 
 
 def _first_wide(
-    start: FloatArray, line: FloatArray, distance: FloatArray, indices: IntArray, end: FloatArray, threshold: float
+    start: FloatArray, line: FloatArray, distance: FloatArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """Return the first of `indices` at which the angle between the rays to `start` and `end` reaches the threshold.
+    """Return the first point of a line at which the angle between the rays to `start` and `end` reaches the threshold.
 
     `distance`: distances of the points of the line from `start`, Shape (n,) [m].
     """
-    real = distance[indices] > _SAME_DISTANCE  # a ray of rounding noise has no angle
-    wide = (interior_angles(line[indices], start, end) >= threshold - _SAME_ANGLE) & real
-    return int(indices[wide.argmax()]) if wide.any() else None
+    # A ray of rounding noise has no angle.
+    wide = (interior_angles(line, start, end) >= threshold - _SAME_ANGLE) & (distance > _SAME_DISTANCE)
+    return int(wide.argmax()) if wide.any() else None
 
 
 def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:

@@ -513,7 +513,7 @@ def test_every_kernel_stands_alone_beside_its_twin(source):
     assert all(line.startswith(("static ", "int64_t optdock_")) for line in starts)
 
 
-def test_only_smoother_timing_proof_and_free_space_call_other_kernels():
+def test_only_smoother_timing_proof_and_search_call_other_kernels():
     """Search and proof share no native code, and the functions that are called are declared as they are defined."""
     declared, defined = {}, {}
     for source in kernel_sources(ROOT)[1:]:
@@ -525,7 +525,8 @@ def test_only_smoother_timing_proof_and_free_space_call_other_kernels():
     assert set.union(*declared.values()) <= set.union(*defined.values())
     assert homes.pop("optdock/verification/conservative_advancement_kernel.c") == {"optdock/geometry/clothoid_kernel.c"}
     search = "optdock/planners/manoeuvres/"
-    assert homes.pop(f"{search}free_space_kernel.c") == {f"{search}distance_field_kernel.c"}
+    for caller in ("disc_routes", "free_space"):
+        assert homes.pop(f"{search}{caller}_kernel.c") == {f"{search}distance_field_kernel.c"}
     assert homes.pop("optdock/timing/reference_program_kernel.c") == {"optdock/timing/interior_point_kernel.c"}
     assert set(homes) == {"smoothers/scp/loop_kernel.c", "smoothers/scp/initial_guess_kernel.c"}
     called = set.union(*homes.values()) - {"optdock/quadratic_program_kernel.c"}

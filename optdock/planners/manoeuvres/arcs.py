@@ -6,7 +6,6 @@ gear. Sequences are padded with arcs of length zero to a common number of column
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -103,18 +102,42 @@ class Arcs(NamedTuple):
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
         """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
         assert len(self.lengths) == 1
-        joints = self.joints()[0]
-        poses, counts = self._before_ends(joints, spacing, _FEWEST_POSES)
-        moving = counts.nonzero()[0]
-        ahead = self.lengths[0, moving] > 0.0
-        last = np.append((ahead[1:] != ahead[:-1]).nonzero()[0], moving.size - 1)  # the last arc of each gear
-        ends, cuts = joints[moving[last] + 1], counts.cumsum()[moving[last]].tolist()
-        ends[-1, :2] = end[:2]
-        ends[-1, 2] = end[2] + 2.0 * np.pi * np.round((ends[-1, 2] - end[2]) / (2.0 * np.pi))
-        spans = itertools.pairwise([0, *cuts])
-        blocks = [np.concatenate((poses[a:b], ends[i : i + 1])) for i, (a, b) in enumerate(spans)]
-        gears = [Direction.FORWARD if forward else Direction.REVERSE for forward in ahead[last].tolist()]
-        return Path(tuple(PolylineSegment(block, gear) for block, gear in zip(blocks, gears, strict=True)), frame)
+        poses, counts = _poses_by_gear(self, spacing)
+        turns = round((poses[-1, 2] - end[2]) / (2.0 * np.pi))
+        poses[-1] = end
+        poses[-1, 2] += 2.0 * np.pi * turns
+        segments, first = [], 0
+        for count in counts.tolist():
+            gear = Direction.FORWARD if count > 0 else Direction.REVERSE
+            segments.append(PolylineSegment(poses[first : first + abs(count)], gear))
+            first += abs(count)
+        return Path(tuple(segments), frame)
+
+
+_GEARS_KERNEL = Kernel("optdock_poses_by_gear", sizes=2, numbers=1)
+
+
+def _poses_by_gear_native(arcs: Arcs, spacing: float) -> tuple[FloatArray, IntArray]:
+    k = arcs.lengths.size
+    most = int(np.abs(arcs.lengths).sum() / spacing) + (_FEWEST_POSES + 2) * k + 1
+    poses, counts, found = np.empty((most, 3)), np.empty(k, dtype=np.int64), np.empty(2, dtype=np.int64)
+    columns = [(np.ascontiguousarray(column), column.size) for column in arcs]
+    _GEARS_KERNEL((k, _FEWEST_POSES), (spacing,), (*columns, (poses, 3 * most), (counts, k), (found, 2)))
+    rows, gears = found.tolist()
+    return poses[:rows], counts[:gears]
+
+
+@twin_of(_poses_by_gear_native)
+def _poses_by_gear(arcs: Arcs, spacing: float) -> tuple[FloatArray, IntArray]:
+    """Return the poses of a single sequence gear by gear, (q, 3), and their numbers, (g,), negative in reverse."""
+    joints = arcs.joints()[0]
+    poses, counts = arcs._before_ends(joints, spacing, _FEWEST_POSES)
+    moving = counts.nonzero()[0]
+    ahead = arcs.lengths[0, moving] > 0.0
+    last = np.append((ahead[1:] != ahead[:-1]).nonzero()[0], moving.size - 1)  # the last arc of each gear
+    cuts = counts.cumsum()[moving[last]]
+    signs = np.where(ahead[last], 1, -1)
+    return np.insert(poses, cuts, joints[moving[last] + 1], axis=0), signs * (np.diff(cuts, prepend=0) + 1)
 
 
 def moves_of(signs: tuple[float, ...], curvatures: tuple[float, ...]) -> FloatArray:
@@ -144,7 +167,7 @@ class ArcTree:
         self.gear, self.robot, self.stop = gear, robot, stopping_cost(robot.limits)
         nodes = np.zeros((1, 7))
         nodes[0, :3] = root
-        self._set(np.full(1, -1), nodes)
+        self._set(np.array([-1]), nodes)
 
     def _set(self, parents: IntArray, nodes: FloatArray) -> None:
         self.parents, self.nodes, self.poses = parents, nodes, nodes[:, :3]
@@ -201,7 +224,7 @@ class ArcTree:
         return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
 
 
-_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=5, numbers=6)
+_EXTENSIONS_KERNEL = Kernel("optdock_extensions", sizes=5, numbers=9)
 
 
 def _extensions_native(
@@ -209,7 +232,7 @@ def _extensions_native(
 ) -> tuple[IntArray, FloatArray]:
     robot, limits, spacing, n = tree.robot, tree.robot.limits, space.spacing(effort), rows.size * len(moves)
     most = n * (stations.size + 1)
-    found, parents, ends = np.zeros(1, dtype=np.int64), np.empty(most, dtype=np.int64), np.empty((most, 7))
+    found, parents, ends = np.array([0]), np.empty(most, dtype=np.int64), np.empty((most, 7))
     given = (np.ascontiguousarray(rows), rows.size), (tree.nodes, tree.nodes.size), (moves, 2 * len(moves))
     outputs = (found, 1), (parents, most), (ends, 7 * most)
     numbers = spacing, tree.gear, limits.max_speed, limits.max_reverse_speed, robot.reverse_price, tree.stop
@@ -276,15 +299,17 @@ def _free_lengths(
     return free
 
 
-_SEQUENCES_KERNEL = Kernel("optdock_free_sequences", sizes=3, numbers=1)
+_SEQUENCES_KERNEL = Kernel("optdock_free_sequences", sizes=3, numbers=4)
 
 
 def _are_free_native(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, float]) -> BoolArray:
-    (n, count), free = arcs.lengths.shape, np.ones(len(arcs.lengths), dtype=np.int64)
-    if len(space.obstacles):
-        columns = [(np.ascontiguousarray(column), column.size) for column in arcs]
-        space.check(_SEQUENCES_KERNEL, (n, count), (spacing,), (*columns, (free, n)), limits)
-    return free.astype(np.bool_)
+    n, count = arcs.lengths.shape
+    if len(space.obstacles) == 0:
+        return np.ones(n, dtype=np.bool_)
+    columns, free = [(np.ascontiguousarray(column), column.size) for column in arcs], np.empty(n, dtype=np.int64)
+    space.check(_SEQUENCES_KERNEL, (n, count), (spacing,), (*columns, (free, n)), limits)
+    found: BoolArray = free != 0
+    return found
 
 
 @twin_of(_are_free_native)
@@ -300,13 +325,13 @@ def are_free(arcs: Arcs, spacing: float, space: FreeSpace, limits: tuple[float, 
     return found
 
 
-_FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=1)
+_FIRST_KERNEL = Kernel("optdock_first_free", sizes=4, numbers=4)
 
 
 def _first_free_native(
     arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace, limits: tuple[float, float]
 ) -> int:
-    (n, count), first = arcs.lengths.shape, np.full(1, len(arcs.lengths))
+    (n, count), first = arcs.lengths.shape, np.array([len(arcs.lengths)])
     if len(space.obstacles) == 0:
         return 0
     columns = [(np.ascontiguousarray(column), column.size) for column in (*arcs, shares)]
@@ -329,7 +354,7 @@ def first_free(arcs: Arcs, shares: FloatArray, spacing: float, space: FreeSpace,
     return len(arcs.lengths)
 
 
-_ROUGH_KERNEL = Kernel("optdock_may_be_free", sizes=4, numbers=0)
+_ROUGH_KERNEL = Kernel("optdock_may_be_free", sizes=4, numbers=3)
 
 
 def _may_be_free_native(arcs: Arcs, shares: FloatArray, space: FreeSpace) -> BoolArray:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.problem import DockingProblem
     from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.arcs import ArcTree
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
@@ -32,6 +33,7 @@ __all__ = [
     "free_manoeuvres",
     "is_wholly_free",
     "promising",
+    "with_last",
     "words_between",
 ]
 
@@ -40,6 +42,7 @@ _COARSE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which the coars
 _CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
 _BATCH = 24  # words per call of the coarse check
 _NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
+_WANTED = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}  # signs of the last gear
 
 
 class Connections(NamedTuple):
@@ -64,14 +67,14 @@ class Connections(NamedTuple):
 
     def at_prices(self, prices: FloatArray, most: float) -> Connections:
         """Return the words with new prices, Shape (n,), below `most`, in ascending order of the new prices."""
-        order = np.argsort(prices, kind="stable")
-        return self._replace(prices=prices).rows(order[prices[order] < most])
+        order = prices.argsort(kind="stable")
+        return Connections(prices, *self[1:]).rows(order[prices[order] < most])
 
     @classmethod
     def merged(cls, blocks: Sequence[Connections]) -> Connections:
         """Merge several sets of words in ascending order of price."""
-        columns = [np.concatenate(column) for column in zip(*blocks, strict=True)]
-        return cls(*columns).rows(np.argsort(columns[0], kind="stable"))
+        whole = blocks[0] if len(blocks) == 1 else cls(*map(np.concatenate, zip(*blocks, strict=True)))
+        return whole.rows(whole.prices.argsort(kind="stable"))
 
 
 class TreeNodes(NamedTuple):
@@ -83,8 +86,39 @@ class TreeNodes(NamedTuple):
 
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
     """Return the cheapest words between pairs of nodes, in gears allowed at both ends, without a collision check."""
-    problem, (leaving, i), (arriving, j) = space.problem, exits, entries
-    words = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
+    (leaving, i), (arriving, j), blocks = exits, entries, []
+    for some in (slice(k, k + _PAIRS) for k in range(0, max(i.size, 1), _PAIRS)):
+        space.poll()
+        pairs = TreeNodes(leaving, i[some]), TreeNodes(arriving, j[some])
+        blocks.append(_connected(*pairs, radius, space.problem, per_pair))
+    return Connections.merged(blocks)
+
+
+_CONNECTIONS_KERNEL = Kernel("optdock_connections", sizes=2, numbers=7)
+
+
+def _connected_native(
+    exits: TreeNodes, entries: TreeNodes, radius: float, problem: DockingProblem, per_pair: int
+) -> Connections:
+    (leaving, i), (arriving, j), robot, n = exits, entries, problem.robot, exits.rows.size
+    most, limits = n * per_pair, robot.limits
+    prices, changes, rows = np.empty(most), np.empty(most), np.empty((2, most), dtype=np.int64)
+    lengths, curvatures = np.empty((most, 5)), np.empty((most, 5))
+    given = np.ascontiguousarray(i), np.ascontiguousarray(j), leaving.nodes, arriving.nodes, TURNS
+    arrays = [(part, part.size) for part in (*given, prices, changes, rows, lengths, curvatures)]
+    speeds = limits.max_speed, limits.max_reverse_speed, robot.reverse_price
+    numbers = *speeds, radius, stopping_cost(limits), _WANTED.get(problem.dock.direction, 0.0), problem.start_speed
+    found = slice(_CONNECTIONS_KERNEL((n, per_pair), numbers, tuple(arrays)))
+    return Connections(prices[found], changes[found], rows[0, found], rows[1, found], lengths[found], curvatures[found])
+
+
+@twin_of(_connected_native)
+def _connected(
+    exits: TreeNodes, entries: TreeNodes, radius: float, problem: DockingProblem, per_pair: int
+) -> Connections:
+    """Return the result of `connections` in the order of the pairs."""
+    (leaving, i), (arriving, j) = exits, entries
+    words = words_between(leaving.poses[i], arriving.poses[j], radius, problem.robot, per_pair)
     i, j, begins, ends = i[words.pair], j[words.pair], words.begins, words.ends
     # With the gears in which the nodes are left and reached, cusps at the joints are also counted.
     before, after = leaving.signs[i], -arriving.signs[j]
@@ -95,20 +129,24 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
     first = np.where(before != 0.0, before, np.where(stays, after, begins))
     last = np.where(after != 0.0, after, np.where(stays, before, ends))
     allowed = first != 0.0
-    wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
-    if wanted is not None:
-        allowed &= last * wanted > 0.0
+    if problem.dock.direction in _WANTED:
+        allowed &= last * _WANTED[problem.dock.direction] > 0.0
     if problem.start_speed != 0.0:
         allowed &= first * problem.start_speed > 0.0
-    kept = allowed.nonzero()[0]
-    kept = kept[prices[kept].argsort(kind="stable")]
-    return Connections(prices, changes, i, j, words.lengths, words.curvatures).rows(kept)
+    return Connections(prices, changes, i, j, words.lengths, words.curvatures).rows(allowed.nonzero()[0])
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
     """Return the pairs of each node of the first tree with each node of the second."""
     i, j = exits.rows, entries.rows
-    return TreeNodes(exits.tree, i.repeat(j.size)), TreeNodes(entries.tree, np.tile(j, i.size))
+    return TreeNodes(exits.tree, i.repeat(j.size)), TreeNodes(entries.tree, j[None].repeat(i.size, axis=0).ravel())
+
+
+def with_last(lengths: FloatArray, last: FloatArray) -> FloatArray:
+    """Return lengths, Shape (n, k), with one more column, Shape (n,)."""
+    longer = np.empty((last.size, lengths.shape[1] + 1))
+    longer[:, :-1], longer[:, -1] = lengths, last
+    return longer
 
 
 class PairWords(NamedTuple):
@@ -196,7 +234,6 @@ def free_manoeuvres(  # noqa: PLR0913 - words, two ends, a space, and how to sea
             found = found.rows(found.prices + per_change * found.changes < most)
         if row == found.prices.size:
             return
-        space.poll()
         some = slice(row, row + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
         first = first_free(words, _COARSE, spacing, space, limits)
@@ -212,5 +249,4 @@ def free_manoeuvres(  # noqa: PLR0913 - words, two ends, a space, and how to sea
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
     """Whether a single manoeuvre is collision-free at finely spaced poses, without the margin."""
-    space.poll()
     return bool(are_free(whole, space.width / _CLOSE_POSES_PER_WIDTH, space, (0.0, effort.start_relief))[0])

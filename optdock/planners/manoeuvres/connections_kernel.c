@@ -1,5 +1,5 @@
-/* The cheapest Reeds-Shepp words between pairs of poses: `_cheapest` of `connections.py` and the closed forms of
- * `reeds_shepp.py` in C.
+/* The cheapest Reeds-Shepp words between pairs of poses: `words_between` and `_connected` of `connections.py`, and the
+ * closed forms of `reeds_shepp.py` in C.
  *
  * Sums and products are evaluated in the order of the twins, which also use the trigonometric functions of the C library,
  * so the results are equal to the last bit. Only guesses depend on this file; the certificate has code of its own. */
@@ -192,11 +192,53 @@ static void set_gears(const double *lengths, double *gears)
     }
 }
 
+/* Bounds and prices of motion: `words_between` of `connections.py`. */
+typedef struct {
+    double speed, reverse_speed, reverse_price, radius; /* [m/s, m/s, s/m, m] */
+} Driving;
+
+/* Select the words between two poses that are cheapest at full speed, in ascending order of price, at most `most`.
+ * forms, prices: out, (most,). Return their number. */
+static int64_t select_words(Words *words, const Driving *driving, int64_t most, const double *start, const double *goal,
+                            int64_t *forms, double *prices)
+{
+    int64_t count = 0;
+    set_words(words, start, goal, driving->radius);
+    for (int64_t form = 0; form < FORMS; form++) {
+        if (!words->exists[form])
+            continue;
+        double price = 0.0;
+        for (int64_t k = 0; k < ARCS; k++)
+            price += driving_price(words->lengths[form][k], driving->speed, driving->reverse_speed,
+                                   driving->reverse_price);
+        if (!(price < INFINITY) || (count == most && !(price < prices[count - 1])))
+            continue;
+        int64_t at = count < most ? count++ : count - 1; /* the place of the last one if there are enough */
+        for (; at > 0 && price < prices[at - 1]; at--) {
+            prices[at] = prices[at - 1];
+            forms[at] = forms[at - 1];
+        }
+        prices[at] = price;
+        forms[at] = form;
+    }
+    return count;
+}
+
+/* Copy lengths and curvatures of a word, (ARCS,) each, and its gears, see `set_gears`. */
+static void copy_word(const Words *words, int64_t form, const double *turns, double radius, double *lengths,
+                      double *curvatures, double *gears)
+{
+    for (int64_t k = 0; k < ARCS; k++) {
+        lengths[k] = words->lengths[form][k];
+        curvatures[k] = turns[ARCS * form + k] / radius;
+    }
+    set_gears(lengths, gears);
+}
+
 /* Select the words of every pair that are cheapest at full speed, in ascending order of price.
  *
  *   n, most                              numbers of pairs, and of words per pair, most <= FORMS
- *   speed, reverse_speed, reverse_price  [m/s, m/s, s/m]
- *   radius                               [m]
+ *   speed ... radius                     see `Driving`
  *   starts, goals                        (n, 3), poses [m, m, rad]
  *   turns                                (FORMS, ARCS), 1 left, -1 right, 0 straight on
  *   pairs                                out, (n most,), index of the pair of each word
@@ -209,36 +251,65 @@ int64_t optdock_cheapest_words(int64_t n, int64_t most, double speed, double rev
                                double radius, const double *starts, const double *goals, const double *turns,
                                int64_t *pairs, double *driven, double *gears, double *lengths, double *curvatures)
 {
+    Driving driving = {speed, reverse_speed, reverse_price, radius};
     int64_t found = 0, forms[FORMS];
     double prices[FORMS];
     Words words;
     for (int64_t i = 0; i < n; i++) {
-        int64_t count = 0;
-        set_words(&words, starts + 3 * i, goals + 3 * i, radius);
-        for (int64_t form = 0; form < FORMS; form++) {
-            if (!words.exists[form])
-                continue;
-            double price = 0.0;
-            for (int64_t k = 0; k < ARCS; k++)
-                price += driving_price(words.lengths[form][k], speed, reverse_speed, reverse_price);
-            if (!(price < INFINITY) || (count == most && !(price < prices[count - 1])))
-                continue;
-            int64_t at = count < most ? count++ : count - 1; /* the place of the last one if there are enough */
-            for (; at > 0 && price < prices[at - 1]; at--) {
-                prices[at] = prices[at - 1];
-                forms[at] = forms[at - 1];
-            }
-            prices[at] = price;
-            forms[at] = form;
-        }
+        int64_t count = select_words(&words, &driving, most, starts + 3 * i, goals + 3 * i, forms, prices);
         for (int64_t rank = 0; rank < count; rank++, found++) {
             pairs[found] = i;
             driven[found] = prices[rank];
-            for (int64_t k = 0; k < ARCS; k++) {
-                lengths[ARCS * found + k] = words.lengths[forms[rank]][k];
-                curvatures[ARCS * found + k] = turns[ARCS * forms[rank] + k] / radius;
-            }
-            set_gears(lengths + ARCS * found, gears + 3 * found);
+            copy_word(&words, forms[rank], turns, radius, lengths + ARCS * found, curvatures + ARCS * found,
+                      gears + 3 * found);
+        }
+    }
+    return found;
+}
+
+/* Select the cheapest words between nodes of two trees as `optdock_cheapest_words`, omit those in gears that are not
+ * allowed, and add the prices of the nodes and of changes of gear.
+ *
+ *   n, most ... radius   as above
+ *   stop                 price of a change of gear [s]
+ *   wanted, start_speed  signs of the last and of the first gear, 0 for any
+ *   exit_rows, entry_rows  (n,), rows of the trees
+ *   exits, entries       (nodes, 7): pose, price, sign and length of the last arc, curvature
+ *   turns                as above
+ *   prices, changes      out, (n most,), prices [s] and numbers of changes of gear
+ *   rows                 out, (2, n most), rows of the exits and of the entries
+ *   lengths, curvatures  out, (n most, ARCS) [m, 1/m]
+ *
+ * Return the number of words. */
+int64_t optdock_connections(int64_t n, int64_t most, double speed, double reverse_speed, double reverse_price,
+                            double radius, double stop, double wanted, double start_speed, const int64_t *exit_rows,
+                            const int64_t *entry_rows, const double *exits, const double *entries, const double *turns,
+                            double *prices, double *changes, int64_t *rows, double *lengths, double *curvatures)
+{
+    Driving driving = {speed, reverse_speed, reverse_price, radius};
+    int64_t found = 0, forms[FORMS];
+    double driven[FORMS], gears[3];
+    Words words;
+    for (int64_t i = 0; i < n; i++) {
+        const double *exit = exits + 7 * exit_rows[i], *entry = entries + 7 * entry_rows[i];
+        double before = exit[4], after = -entry[4];
+        int64_t count = select_words(&words, &driving, most, exit, entry, forms, driven);
+        for (int64_t rank = 0; rank < count; rank++) {
+            copy_word(&words, forms[rank], turns, radius, lengths + ARCS * found, curvatures + ARCS * found, gears);
+            int stays = gears[0] == 0.0;
+            double first = before != 0.0 ? before : stays ? after : gears[0];
+            double last = after != 0.0 ? after : stays ? before : gears[1];
+            if (first == 0.0 || (wanted != 0.0 && !(last * wanted > 0.0)) ||
+                (start_speed != 0.0 && !(first * start_speed > 0.0)))
+                continue;
+            double cusps = gears[2] + (before * gears[0] < 0.0) + (gears[1] * after < 0.0) +
+                           (stays && before * after < 0.0);
+            prices[found] = driven[rank] + exit[3] + entry[3];
+            prices[found] += stop * cusps;
+            changes[found] = cusps;
+            rows[found] = exit_rows[i];
+            rows[n * most + found] = entry_rows[i];
+            found++;
         }
     }
     return found;

@@ -24,7 +24,9 @@ _FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
 _EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
 _BESIDE = 0.75  # cells: half a diagonal, and rounding
 _MOST_STEPS = 64  # of a wave per call of the kernel, at most a millisecond
-_PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first step size, factor of the last one
+# Elastic band: iterations, first step size, factors of the iterations: pushes between two walls overshoot the middle.
+_PULLS, _STIFFNESS = 80, 0.5
+_DAMPED = readonly(np.geomspace(1.0, 0.1, _PULLS))
 
 
 class _Wave(NamedTuple):
@@ -81,7 +83,7 @@ class Wavefront:
         return way
 
 
-_SPREAD_KERNEL = Kernel("optdock_spread", sizes=3, numbers=2)
+_SPREAD_KERNEL = Kernel("optdock_spread", sizes=2, numbers=2)
 
 
 def _spread_native(field: DistanceField, radius: float, wave: _Wave, cells: IntArray) -> _Wave:
@@ -89,17 +91,12 @@ def _spread_native(field: DistanceField, radius: float, wave: _Wave, cells: IntA
     size, n = field.side**2, wave.front.size
     queue = np.empty(size, dtype=np.int64)
     queue[:n] = wave.front
-    progress = np.array((0, n, wave.taken, 0))
-    while True:
-        field.poll()
-        slots, values, missing = field.memory
-        own = (cells, cells.size), (wave.steps, size), (queue, size), (progress, 4)
-        memory = (slots, slots.size), (values, values.size), (missing, missing.size)
-        sizes, numbers = (cells.size, field.tiles, _MOST_STEPS), (_BESIDE * field.spacing, radius)
-        if _SPREAD_KERNEL(sizes, numbers, (*own, *memory)):
-            begin, end, count, _ = progress.tolist()
-            return _Wave(wave.steps, np.sort(queue[begin:end]), count)
-        field.compute(missing[: progress[3]])
+    front, progress = np.array((0, n)), np.array((wave.taken, 0, 0))
+    arrays = (cells, cells.size), (wave.steps, size), (queue, size), (front, 2)
+    numbers = _BESIDE * field.spacing, radius
+    while not field.call(_SPREAD_KERNEL, (cells.size, _MOST_STEPS), numbers, arrays, progress):
+        pass
+    return _Wave(wave.steps, np.sort(queue[slice(*front.tolist())]), int(progress[0]))
 
 
 @twin_of(
@@ -146,7 +143,7 @@ def _way_back(steps: FloatArray, cell: int) -> IntArray:
 
 def arc_lengths(route: FloatArray) -> FloatArray:
     """Return the distances from the first point along a route, Shape (n, 2) to (n,) [m]."""
-    return np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
+    return np.concatenate(([0.0], np.hypot(*(route[1:] - route[:-1]).T).cumsum()))
 
 
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
@@ -159,21 +156,15 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
     return _pulled(np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)]), space.field, room)
 
 
-_PULLED_KERNEL = Kernel("optdock_pulled", sizes=3, numbers=4)
+_PULLED_KERNEL = Kernel("optdock_pulled", sizes=2, numbers=3)
 
 
 def _pulled_native(points: FloatArray, field: DistanceField, room: float) -> FloatArray:
-    points, n, damped = np.array(points), len(points), np.geomspace(1.0, _DAMPED, _PULLS)
-    moved, progress = np.empty_like(points), np.zeros(2, dtype=np.int64)
+    points, n = np.array(points), len(points)
+    moved, progress = np.empty_like(points), np.zeros(3, dtype=np.int64)
+    arrays = (_DAMPED, _PULLS), (points, 2 * n), (moved, 2 * n)
     while progress[0] < _PULLS:
-        field.poll()
-        slots, values, missing = field.memory
-        own = (field.origin, 2), (damped, _PULLS), (points, 2 * n), (moved, 2 * n), (progress, 2)
-        memory = (slots, slots.size), (values, values.size), (missing, missing.size)
-        numbers = field.spacing, 2.0 * field.spacing, room, _STIFFNESS
-        _PULLED_KERNEL((n, _PULLS, field.tiles), numbers, (*own, *memory))
-        if progress[1]:
-            field.compute(missing[: progress[1]])
+        field.call(_PULLED_KERNEL, (n, _PULLS), (2.0 * field.spacing, room, _STIFFNESS), arrays, progress)
     return points
 
 
@@ -182,7 +173,7 @@ def _pulled(points: FloatArray, field: DistanceField, room: float) -> FloatArray
     """Return the points of an elastic band after all iterations. Shape (n, 2) [m]."""
     points, step = np.array(points), 2.0 * field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, because pushes between two walls overshoot the middle
+    for damped in _DAMPED:
         inner = points[1:-1]
         lower, upper = field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)

@@ -9,86 +9,95 @@
 
 #define TILE 32 /* grid points along the side of a tile */
 
-/* The grid: number of tiles along a side, index of the values of every tile, and tiles that must be computed first. */
+/* Of `distance_field_kernel.c`. */
+int64_t optdock_add_tile(int64_t tile, int64_t *progress, int64_t *slots, double *values, const int64_t *shape,
+                         const double *grid, const double *vertices, const double *normals, const double *offsets,
+                         const double *low, const double *high);
+
+/* The distance field: see `optdock_add_tile`; is_short: whether a tile has no values, for which the call ends. */
 typedef struct {
-    int64_t tiles;
-    int64_t *slots;       /* (tiles, tiles); -1: not computed yet, -2: in the list of missing tiles */
-    const double *values; /* (computed tiles, TILE, TILE) [m] */
-    int64_t *missing, missing_count;
-} Grid;
+    int64_t *progress, *slots;
+    double *values;
+    const int64_t *shape;
+    const double *grid, *vertices, *normals, *offsets, *low, *high;
+    int is_short;
+} Field;
+
+#define FIELD_PARAMETERS                                                                                               \
+    int64_t *progress, int64_t *slots, double *values, const int64_t *shape, const double *grid,                       \
+        const double *vertices, const double *normals, const double *offsets, const double *low, const double *high
+#define FIELD                                                                                                          \
+    (Field) { progress, slots, values, shape, grid, vertices, normals, offsets, low, high, 0 }
 
 static const int64_t AROUND[8][2] = {{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}, {1, -1}, {-1, 1}, {-1, -1}};
 
 static double larger(double a, double b) { return a > b ? a : b; }
 
-/* Distance at a grid point [m], or NaN if its tile is missing, which is then appended to the list. */
-static double value_at(Grid *grid, int64_t i, int64_t j)
+/* Distance at a grid point [m], or NaN if its tile has no values. */
+static double value_at(Field *field, int64_t i, int64_t j)
 {
-    int64_t tile = i / TILE * grid->tiles + j / TILE, slot = grid->slots[tile];
-    if (slot >= 0)
-        return grid->values[TILE * TILE * slot + TILE * (i % TILE) + j % TILE];
-    if (slot == -1)
-        grid->missing[grid->missing_count++] = tile;
-    grid->slots[tile] = -2;
-    return NAN;
+    int64_t tile = i / TILE * field->shape[0] + j / TILE;
+    if (field->slots[tile] < 0 &&
+        !optdock_add_tile(tile, field->progress, field->slots, field->values, field->shape, field->grid,
+                          field->vertices, field->normals, field->offsets, field->low, field->high)) {
+        field->is_short = 1;
+        return NAN;
+    }
+    return field->values[TILE * TILE * field->slots[tile] + TILE * (i % TILE) + j % TILE];
 }
 
-/* Advance a wave by one cell from the front, the cells from `begin` to `end` of the queue, and return the new end. The
- * first pass marks missing tiles; without any, the second pass appends the new front. */
-static int64_t advance(Grid *grid, double beside, double radius, int64_t count, double *steps, int64_t *queue,
+/* Advance a wave by one cell from the front, the cells from `begin` to `end` of the queue, and return the new end. If
+ * tiles are missing, the wave is not changed. */
+static int64_t advance(Field *field, double beside, double radius, int64_t count, double *steps, int64_t *queue,
                        int64_t begin, int64_t end)
 {
-    int64_t side = TILE * grid->tiles, ways = count % 2 ? 4 : 8, last = end;
-    for (int pass = 0; pass < 2 && grid->missing_count == 0; pass++) {
-        for (int64_t q = begin; q < end; q++) {
-            for (int64_t way = 0; way < ways; way++) {
-                int64_t i = queue[q] / side + AROUND[way][0], j = queue[q] % side + AROUND[way][1];
-                if (i < 0 || i >= side || j < 0 || j >= side || steps[side * i + j] != 0.0)
-                    continue;
-                double value = value_at(grid, i, j);
-                if (pass && value + beside >= radius) {
-                    steps[side * i + j] = (double)(count + 2);
-                    queue[last++] = side * i + j;
-                }
+    int64_t side = TILE * field->shape[0], ways = count % 2 ? 4 : 8, last = end;
+    for (int64_t q = begin; q < end; q++) {
+        int64_t row = queue[q] / side, column = queue[q] % side;
+        for (int64_t way = 0; way < ways; way++) {
+            int64_t i = row + AROUND[way][0], j = column + AROUND[way][1];
+            if (i < 0 || i >= side || j < 0 || j >= side || steps[side * i + j] != 0.0)
+                continue;
+            if (value_at(field, i, j) + beside >= radius) {
+                steps[side * i + j] = (double)(count + 2);
+                queue[last++] = side * i + j;
             }
         }
     }
+    while (field->is_short && last > end)
+        steps[queue[--last]] = 0.0;
     return last;
 }
 
 /* Spread a wave over the grid until all targets are reached.
  *
- *   targets, tiles, most  numbers of targets, of tiles along a side, and of steps after which the call ends
- *   beside, radius        [m]: the disc fits at a grid point if its value plus `beside` is at least the radius
- *   cells                 (targets,), grid points
- *   steps                 in and out, (side, side), 0 if not reached, otherwise 1 + the number of steps
- *   queue                 in and out, (side side,), cells in the order in which they are reached
- *   progress              in and out, (4,): begin and end of the front in the queue, number of steps, missing tiles
- *   slots, values         see `Grid`
- *   missing               out, (tiles tiles,): tiles that must be computed first
+ *   targets, most   numbers of targets, and of steps after which the call ends
+ *   beside, radius  [m]: the disc fits at a grid point if its value plus `beside` is at least the radius
+ *   cells           (targets,), grid points
+ *   steps           in and out, (side, side), 0 if not reached, otherwise 1 + the number of steps
+ *   queue           in and out, (side side,), cells in the order in which they are reached
+ *   front           in and out, (2,): begin and end of the front in the queue
+ *   progress        in and out, (3,): number of steps; tiles, see `optdock_add_tile`, as the next
  *
  * Return 1 if all targets are reached or the wave has ended, otherwise 0. */
-int64_t optdock_spread(int64_t targets, int64_t tiles, int64_t most, double beside, double radius, const int64_t *cells,
-                       double *steps, int64_t *queue, int64_t *progress, int64_t *slots, const double *values,
-                       int64_t *missing)
+int64_t optdock_spread(int64_t targets, int64_t most, double beside, double radius, const int64_t *cells, double *steps,
+                       int64_t *queue, int64_t *front, FIELD_PARAMETERS)
 {
-    Grid grid = {tiles, slots, values, missing, 0};
-    int64_t reached = 0, is_done = 0;
-    for (int64_t k = 0; k < most && grid.missing_count == 0 && !is_done; k++) {
+    Field field = FIELD;
+    int64_t reached = 0;
+    for (int64_t k = 0; k < most; k++) {
         while (reached < targets && steps[cells[reached]] != 0.0)
             reached++;
-        is_done = reached == targets || progress[0] == progress[1];
-        if (is_done)
+        if (reached == targets || front[0] == front[1])
+            return 1;
+        int64_t last = advance(&field, beside, radius, progress[0], steps, queue, front[0], front[1]);
+        if (field.is_short)
             break;
-        int64_t last = advance(&grid, beside, radius, progress[2], steps, queue, progress[0], progress[1]);
-        if (grid.missing_count)
-            break;
-        progress[0] = progress[1];
-        progress[1] = last;
-        progress[2]++;
+        front[0] = front[1];
+        front[1] = last;
+        progress[0]++;
     }
-    progress[3] = grid.missing_count;
-    return is_done;
+    return 0;
 }
 
 /* Follow a wave back from a cell to its source.
@@ -132,12 +141,13 @@ int64_t optdock_way_back(int64_t side, int64_t most, int64_t cell, const double 
 /* A cell of the grid; NaN becomes 0. */
 static double clamped(double cell, double last) { return cell > last ? last : cell > 0.0 ? cell : 0.0; }
 
-/* Mean of the bounds of the distance of a point [m], -inf outside the field, NaN if the tile is missing. */
-static double distance_at(Grid *grid, const double *origin, double spacing, double x, double y)
+/* Mean of the bounds of the distance of a point [m], -inf outside the field, NaN if its tile has no values. */
+static double distance_at(Field *field, double x, double y)
 {
-    double last = (double)(TILE * grid->tiles - 1), u = (x - origin[0]) / spacing, v = (y - origin[1]) / spacing;
+    double spacing = field->grid[0], last = (double)(TILE * field->shape[0] - 1);
+    double u = (x - field->grid[1]) / spacing, v = (y - field->grid[2]) / spacing;
     double column = rint(u), row = rint(v), du = u - column, dv = v - row;
-    double value = value_at(grid, (int64_t)clamped(column, last), (int64_t)clamped(row, last));
+    double value = value_at(field, (int64_t)clamped(column, last), (int64_t)clamped(row, last));
     double away = spacing * sqrt(du * du + dv * dv);
     int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
     return 0.5 * ((is_inside ? value - away : -INFINITY) + (value + away));
@@ -145,26 +155,23 @@ static double distance_at(Grid *grid, const double *origin, double spacing, doub
 
 /* Straighten a route and move it away from obstacles; one iteration per element of `damped`, from `done` on.
  *
- *   n, pulls, tiles       numbers of points, of iterations and of tiles along a side
- *   spacing, step         of the grid, and of the differences of the distance [m]
- *   room, stiffness       distance to keep [m], share of the way of a full step
- *   origin                (2,), the first grid point [m]; damped: (pulls,)
- *   points                in and out, (n, 2) [m]; moved: work, (n, 2)
- *   progress              in and out, (2,): iterations done, missing tiles
- *   slots, values         see `Grid`
- *   missing               out, (tiles tiles,): tiles that must be computed first */
-int64_t optdock_pulled(int64_t n, int64_t pulls, int64_t tiles, double spacing, double step, double room,
-                       double stiffness, const double *origin, const double *damped, double *points, double *moved,
-                       int64_t *progress, int64_t *slots, const double *values, int64_t *missing)
+ *   n, pulls         numbers of points and of iterations
+ *   step             of the differences of the distance [m]
+ *   room, stiffness  distance to keep [m], share of the way of a full step
+ *   damped           (pulls,)
+ *   points           in and out, (n, 2) [m]; moved: work, (n, 2)
+ *   progress         in and out, (3,): iterations done; tiles, see `optdock_add_tile`, as the next */
+int64_t optdock_pulled(int64_t n, int64_t pulls, double step, double room, double stiffness, const double *damped,
+                       double *points, double *moved, FIELD_PARAMETERS)
 {
-    Grid grid = {tiles, slots, values, missing, 0};
+    Field field = FIELD;
     for (; progress[0] < pulls; progress[0]++) {
         for (int64_t i = 1; i < n - 1; i++) {
             const double *at = points + 2 * i;
             double near[5];
             for (int64_t k = 0; k < 5; k++) { /* here, then to both sides in x and in y */
                 double dx = k == 1 ? step : k == 2 ? -step : 0.0, dy = k == 3 ? step : k == 4 ? -step : 0.0;
-                near[k] = distance_at(&grid, origin, spacing, at[0] + dx, at[1] + dy);
+                near[k] = distance_at(&field, at[0] + dx, at[1] + dy);
             }
             double push = stiffness * larger(room - near[0], 0.0);
             for (int64_t k = 0; k < 2; k++) {
@@ -173,11 +180,10 @@ int64_t optdock_pulled(int64_t n, int64_t pulls, int64_t tiles, double spacing, 
                 moved[2 * i + k] = at[k] + damped[progress[0]] * (pulled + push * slope);
             }
         }
-        if (grid.missing_count)
+        if (field.is_short)
             break;
         for (int64_t k = 2; k < 2 * (n - 1); k++)
             points[k] = moved[k];
     }
-    progress[1] = grid.missing_count;
     return 0;
 }

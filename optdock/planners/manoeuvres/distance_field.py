@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import transform_points
 from optdock.kernels import Kernel, twin_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import TypeAlias
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.obstacles import ObstacleSet
+
+    KernelArrays: TypeAlias = tuple[tuple[FloatArray | IntArray, int], ...]
 
 __all__ = ["TILE", "DiscStates", "Discs", "DistanceField", "disc_states"]
 
@@ -27,8 +32,7 @@ class DistanceField:
 
     `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: spacing of the grid [m]. `poll`: called before
     every few tiles are computed. Attributes `tiles`, `side`: numbers of tiles and grid points along each side;
-    attribute `origin`: the first grid point, Shape (2,) [m]; attribute `is_box`: 1 for every piece that is an
-    axis-aligned rectangle, otherwise 0, Shape (m,); attribute `count`: number of tiles that have values.
+    attribute `origin`: the first grid point, Shape (2,) [m]; attribute `count`: number of tiles that have values.
     """
 
     def __init__(
@@ -38,9 +42,8 @@ class DistanceField:
         self.poll, self.side = poll, TILE * self.tiles
         self.spacing, self.reach = spacing, reach
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
-        self.obstacles, self.is_box = obstacles, _are_boxes(obstacles).astype(np.int64)
+        self.obstacles = obstacles
         self._slots = np.full(self.tiles**2, -1)  # index of the values of a tile; -1: not computed yet
-        self._missing = np.empty_like(self._slots)
         self._values = np.empty((16, TILE, TILE))
         self.count = 0
 
@@ -62,37 +65,66 @@ class DistanceField:
         slot = self._slots[tile]
         missing = slot < 0
         if missing.any():
-            self.compute(np.unique(tile[missing]))
+            self._compute(np.unique(tile[missing]))
             slot = self._slots[tile]
         values: FloatArray = self._values[slot, i % TILE, j % TILE]
         return values
 
-    @property
-    def memory(self) -> tuple[IntArray, FloatArray, IntArray]:
-        """Slots and values of the tiles for the kernel, and room for the tiles that it misses."""
-        return self._slots, self._values, self._missing
-
-    def compute(self, tiles: IntArray) -> None:
-        """Compute the values of tiles without any, Shape (n,), also of those that a kernel has marked as missing."""
-        self._slots[tiles] = -1
-        ascending = np.sort(tiles)
+    def _compute(self, tiles: IntArray) -> None:
+        """Compute the values of tiles without any, Shape (n,), in ascending order."""
         for k in range(0, tiles.size, _TILES_AT_ONCE):
             self.poll()
-            some = ascending[k : k + _TILES_AT_ONCE]
-            slots, values, first, _ = self.room_for_more()
-            self.count = first + some.size
-            values[first : self.count] = _tile_values(self, some)
-            slots[some] = np.arange(first, self.count)
+            some, values = tiles[k : k + _TILES_AT_ONCE], self._room_for_more()
+            values[self.count : self.count + some.size] = _tile_values(self, some)
+            self._slots[some] = np.arange(self.count, self.count + some.size)
+            self.count += some.size
 
-    def room_for_more(self) -> tuple[IntArray, FloatArray, int, int]:
-        """Return the indices and the values of the tiles, their number, and the number until which there is room.
-
-        A kernel may compute so many tiles between two polls; then `count` must be set.
-        """
-        most = self.count + _TILES_AT_ONCE
-        if most > len(self._values):
+    def _room_for_more(self) -> FloatArray:
+        """Return the values of all tiles, with room for those that are computed between two polls."""
+        if self.count + _TILES_AT_ONCE > len(self._values):
             self._values = np.concatenate((self._values, np.empty_like(self._values)))
-        return self._slots, self._values, self.count, most
+        return self._values
+
+    def call(
+        self,
+        kernel: Kernel,
+        sizes: tuple[int, ...],
+        numbers: tuple[float, ...],
+        arrays: KernelArrays,
+        progress: IntArray,
+    ) -> int:
+        """Poll, and call a kernel that computes at most a few tiles and ends if it needs more.
+
+        The kernel gets `progress`, Shape (3,), and the arrays of the field after its own arrays; it counts in the first
+        element what it has done.
+        """
+        self.poll()
+        values, slots = self._room_for_more(), self._slots
+        progress[1:] = self.count, self.count + _TILES_AT_ONCE
+        memory = (progress, 3), (slots, slots.size), (values, values.size)
+        found = kernel(sizes, numbers, (*arrays, *memory, *self._packed))
+        self.count = int(progress[1])
+        return found
+
+    @functools.cached_property
+    def _packed(self) -> KernelArrays:
+        """Arrays of the kernels from `shape` to `high`; see `optdock_add_tile` in C."""
+        rocks = self.obstacles
+        shape = readonly(np.array((self.tiles, *rocks.offsets.shape)))
+        grid = readonly(np.array((self.spacing, *self.origin.tolist(), self.reach)))
+        parts = shape, grid, rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper
+        return tuple([(part, part.size) for part in parts])
+
+    @functools.cached_property
+    def is_box(self) -> BoolArray:
+        """Mask of the pieces that are axis-aligned rectangles. Shape (m,)."""
+        x, y = self.obstacles.vertices[..., 0], self.obstacles.vertices[..., 1]
+        low, high = self.obstacles.lower, self.obstacles.upper
+        at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
+        step = np.roll(self.obstacles.vertices, -1, axis=1) - self.obstacles.vertices
+        # No edge of an axis-aligned rectangle is diagonal.
+        found: BoolArray = np.all(at_corner & ((step[..., 0] == 0.0) | (step[..., 1] == 0.0)), axis=1)
+        return found
 
 
 class Discs(NamedTuple):
@@ -133,8 +165,7 @@ _TILES_KERNEL = Kernel("optdock_tile_values", sizes=4, numbers=2)
 def _tile_values_native(field: DistanceField, tiles: IntArray) -> FloatArray:
     rocks, n = field.obstacles, tiles.size
     (m, k, _), values = rocks.vertices.shape, np.empty((n, TILE, TILE))
-    outlines = rocks.lower, rocks.upper, rocks.vertices, rocks.normals, rocks.offsets
-    arrays = tiles, field.origin, field.is_box, *outlines, values
+    arrays = tiles, field.origin, rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper, values
     numbers = field.spacing, field.reach
     _TILES_KERNEL((n, field.tiles, m, k), numbers, tuple([(array, array.size) for array in arrays]))
     return values
@@ -148,25 +179,11 @@ def _tile_values(field: DistanceField, tiles: IntArray) -> FloatArray:
         first = np.array(divmod(tile, field.tiles)) * TILE
         axes = field.origin + (first + np.arange(TILE)[:, None]) * field.spacing
         rows = field.obstacles.rows_in_box(axes[0] - field.reach, axes[-1] + field.reach)
-        boxes = rows[field.is_box[rows] != 0]
-        for some, distances in ((boxes, _to_boxes), (rows[field.is_box[rows] == 0], _to_polygons)):
+        is_box = field.is_box[rows]
+        for some, distances in ((rows[is_box], _to_boxes), (rows[~is_box], _to_polygons)):
             for k in range(0, some.size, _BLOCK):
                 np.minimum(best, distances(field.obstacles, some[k : k + _BLOCK], axes), out=best)
     return values
-
-
-def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
-    """Return a mask of the pieces that are axis-aligned rectangles. Shape (m,)."""
-    x, y = obstacles.vertices[..., 0], obstacles.vertices[..., 1]
-    low, high = obstacles.lower, obstacles.upper
-    at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
-    turned: BoolArray = np.all(at_corner, axis=1)
-    if not turned.any():
-        return turned
-    step = np.roll(obstacles.vertices, -1, axis=1) - obstacles.vertices
-    # No edge of an axis-aligned rectangle is diagonal.
-    turned &= np.all((step[..., 0] == 0.0) | (step[..., 1] == 0.0), axis=1)
-    return turned
 
 
 def _to_boxes(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> FloatArray:

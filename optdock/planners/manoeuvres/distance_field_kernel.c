@@ -51,9 +51,20 @@ static double to_polygon(double x, double y, int64_t k, const double *vertices, 
 /* The obstacles; see `optdock_tile_values`. */
 typedef struct {
     int64_t k; /* corners of an obstacle */
-    const int64_t *is_box;
     const double *low, *high, *vertices, *normals, *offsets;
 } Rocks;
+
+/* Whether an obstacle is an axis-aligned rectangle: its vertices are corners of its box, and no edge is diagonal. */
+static int is_box(const Rocks *rocks, int64_t o)
+{
+    const double *low = rocks->low + 2 * o, *high = rocks->high + 2 * o, *vertices = rocks->vertices + 2 * rocks->k * o;
+    for (int64_t i = 0; i < rocks->k; i++) {
+        const double *p = vertices + 2 * i, *q = vertices + 2 * ((i + 1) % rocks->k);
+        if ((p[0] != low[0] && p[0] != high[0]) || (p[1] != low[1] && p[1] != high[1]) || (p[0] != q[0] && p[1] != q[1]))
+            return 0;
+    }
+    return 1;
+}
 
 /* Lower the values of a block, whose first point is `values`, to the distances from an obstacle. Return the largest. */
 static double lowered(const Rocks *rocks, int64_t o, const double *xs, const double *ys, double *values)
@@ -61,10 +72,11 @@ static double lowered(const Rocks *rocks, int64_t o, const double *xs, const dou
     const double *low = rocks->low + 2 * o, *high = rocks->high + 2 * o, *vertices = rocks->vertices + 2 * rocks->k * o;
     const double *normals = rocks->normals + 2 * rocks->k * o, *offsets = rocks->offsets + rocks->k * o;
     double largest = -INFINITY;
+    int by_box = is_box(rocks, o);
     for (int64_t i = 0; i < BLOCK; i++) {
         for (int64_t j = 0; j < BLOCK; j++) {
             double *value = values + TILE * i + j;
-            *value = rocks->is_box[o] ? to_box(xs[i], ys[j], low, high, *value)
+            *value = by_box ? to_box(xs[i], ys[j], low, high, *value)
                                       : to_polygon(xs[i], ys[j], rocks->k, vertices, normals, offsets, *value);
             largest = larger(largest, *value);
         }
@@ -110,15 +122,13 @@ static void lower_tile(const Rocks *rocks, const int64_t *rows, int64_t count, c
  *   spacing, reach       of the grid, largest value [m]
  *   which                (n,), numbers of the tiles
  *   origin               (2,), the first grid point [m]
- *   is_box               (m,), 1 for axis-aligned rectangles, otherwise 0
- *   low, high            (m, 2); vertices, normals: (m, k, 2); offsets: (m, k)
+ *   vertices, normals    (m, k, 2); offsets: (m, k); low, high: (m, 2)
  *   values               out, (n, TILE, TILE) [m] */
 int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, double spacing, double reach,
-                            const int64_t *which, const double *origin, const int64_t *is_box, const double *low,
-                            const double *high, const double *vertices, const double *normals, const double *offsets,
-                            double *values)
+                            const int64_t *which, const double *origin, const double *vertices, const double *normals,
+                            const double *offsets, const double *low, const double *high, double *values)
 {
-    Rocks rocks = {k, is_box, low, high, vertices, normals, offsets};
+    Rocks rocks = {k, low, high, vertices, normals, offsets};
     for (int64_t t = 0; t < n; t++, values += TILE * TILE) {
         double axes[2][TILE];
         for (int64_t i = 0; i < TILE; i++) {
@@ -142,4 +152,25 @@ int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, doub
         lower_tile(&rocks, rows, count, axes[0], axes[1], values);
     }
     return 0;
+}
+
+/* Compute the values of a tile for another kernel, unless the limit of its call is reached.
+ *
+ *   progress             in and out, (3,): another number, the number of tiles that have values, and its limit
+ *   slots                in and out, (tiles, tiles), index of the values of every tile; -1: not computed yet
+ *   values               in and out, (tiles for which there is room, TILE, TILE) [m]
+ *   shape                (3,): tiles, m and k; grid: (4,): spacing, first grid point and reach [m]
+ *   vertices ... high    as above
+ *
+ * Return whether the tile has values now. */
+int64_t optdock_add_tile(int64_t tile, int64_t *progress, int64_t *slots, double *values, const int64_t *shape,
+                         const double *grid, const double *vertices, const double *normals, const double *offsets,
+                         const double *low, const double *high)
+{
+    if (progress[1] == progress[2])
+        return 0;
+    optdock_tile_values(1, shape[0], shape[1], shape[2], grid[0], grid[3], &tile, grid + 1, vertices, normals, offsets,
+                        low, high, values + TILE * TILE * progress[1]);
+    slots[tile] = progress[1]++;
+    return 1;
 }

@@ -103,7 +103,9 @@ class EndTrees:
         `more`: additional distances from the dock at which nodes are placed [m].
         """
         tree, straight = self._from_goal(), self.problem.dock.final_straight
-        stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
+        stations = straight + self._wind_up + self.radius * _RUNS
+        if more.size:
+            stations = np.unique(np.concatenate((stations, more[more > straight])))
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
         rows = tree.grow(ROOT, moves_of(self._out_of_dock, (0.0,)), stations, self.space, effort)

@@ -22,14 +22,12 @@ from optdock.verification.clearance_kernel import packed_footprint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import TypeAlias
 
-    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.separation import ConvexBody
     from optdock.model.problem import DockingProblem
-
-    KernelArrays: TypeAlias = tuple[tuple[FloatArray | IntArray, int], ...]
+    from optdock.planners.manoeuvres.distance_field import KernelArrays
 
 __all__ = ["Effort", "FreeSpace"]
 
@@ -94,21 +92,18 @@ class FreeSpace:
         self.problem, self.poll = problem, poll
         self.footprint: Footprint = problem.robot.footprint
         self.obstacles = problem.all_obstacles
-        ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
-        self._start, self._goal = ends[:, :2]
+        self._start, self._goal = problem.start.as_array()[:2], problem.goal.as_array()[:2]
         clearances = end_clearances(problem)
         self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
         self._reach = self.footprint.circumscribed_radius + problem.path_clearance.required
         self.width = min(self.footprint.width, self.footprint.length)
         side = max(_SIDE * self.width, 2.0 * float(np.abs(self._goal - self._start).max()))
-        self._kernel_arrays: dict[tuple[float, float], KernelArrays] = {}
-        self._square = np.array((*ends[:, :2].mean(axis=0), side))
+        self._square = np.array((*(0.5 * (self._start + self._goal)).tolist(), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
         self.levels = []
         for across in (1, _FINE_DISCS):  # a millisecond each for a new footprint with 60 corners
-            poll()
             self.levels.append(_discs(self.footprint, across))
-        poll()
+            poll()
         robot = packed_footprint(self.footprint)
         self._at_once = max(1, _AT_ONCE // (robot.corners * len(robot.sizes) + 4))
 
@@ -161,52 +156,37 @@ class FreeSpace:
     ) -> None:
         """Call a kernel that checks as many poses as possible until it has done all of its sizes[0] items.
 
-        `limits`: margin and start relief. The kernel gets a limit of poses per call as its last size, and `progress`
-        and the arrays of the free space after its own arrays.
+        `limits`: margin and start relief. The kernel gets a limit of poses per call as its last size, the limits and
+        the least clearance of the start after its own numbers, and the arrays of the free space after its own arrays.
         """
-        progress, packed = np.zeros(3, dtype=np.int64), self._packed(*limits)
+        (margin, relief), progress = limits, np.zeros(3, dtype=np.int64)
+        leaving = self.problem.path_clearance.least_leaving(self._start_clearance, relief)
+        given, bounds, parts = (*sizes, self._at_once), (*numbers, margin, relief, leaving), (*arrays, *self._packed)
         while progress[0] < sizes[0]:
-            self.poll()
-            slots, values, *progress[1:] = self.field.room_for_more()
-            memory = (slots, slots.size), (values, values.size)
-            kernel((*sizes, self._at_once), numbers, (*arrays, (progress, 3), *packed, *memory, *self._room))
-            self.field.count = int(progress[1])
-
-    def _packed(self, margin: float, start_relief: float) -> KernelArrays:
-        """Return the arrays from `sizes` to `high` of the kernels; see `SPACE_PARAMETERS` in C."""
-        key = margin, start_relief
-        if key not in self._kernel_arrays:
-            rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.obstacles
-            (m, k, _), bodies = rocks.vertices.shape, len(robot.sizes)
-            tiles, discs = self.field.tiles, [level.cover.size for level in self.levels]
-            levels = 1 if m * k * int(robot.sizes[:, 0].sum()) <= _FEW_CORNERS else 2
-            sizes = np.array((tiles, levels, *discs, bodies, m, k, *robot.sizes.ravel().tolist()))
-            least = rule.least_leaving(self._start_clearance, start_relief)
-            at_start = np.nan if rule.at_start is None else rule.at_start
-            rules = np.array(
-                (
-                    *(self.field.spacing, *self.field.origin, self.field.reach),
-                    *(rule.required, rule.at_dock, rule.taper, rule.dock_run),
-                    *(least, START_RELIEF_SLOPE, start_relief, at_start, *self._start, *self._goal),
-                    *(margin, max(self._start_clearance, 0.0), max(self._goal_clearance, 0.0), _MARGIN_SLOPE),
-                    *(TOLERANCE, self.footprint.circumscribed_radius),
-                )
-            )
-            circles = [np.ravel((*one.centres.T, *one[1:])) for one in self.levels]
-            parts = sizes, np.concatenate((rules, *circles, robot.numbers)), self.field.is_box
-            outlines = rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper
-            self._kernel_arrays[key] = tuple((part, part.size) for part in (*parts, *outlines))
-        return self._kernel_arrays[key]
+            self.field.call(kernel, given, bounds, parts, progress)
 
     @functools.cached_property
-    def _room(self) -> KernelArrays:
-        """Work arrays of the kernels."""
-        robot, (m, k, _) = packed_footprint(self.footprint), self.obstacles.vertices.shape
-        size = 2 * (robot.corners + k + robot.circles)
-        return (np.empty(m, dtype=np.int64), m), (np.empty(size), size)
+    def _packed(self) -> KernelArrays:
+        """Return the arrays from `sizes` to `work` of the kernels; see `SPACE_PARAMETERS` in C."""
+        rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.field.obstacles
+        (m, k, _), bodies = rocks.vertices.shape, len(robot.sizes)
+        levels = 1 if m * k * int(robot.sizes[:, 0].sum()) <= _FEW_CORNERS else 2
+        discs = [level.cover.size for level in self.levels]
+        sizes = np.array((levels, *discs, bodies, *robot.sizes.ravel().tolist()))
+        at_start = np.nan if rule.at_start is None else rule.at_start
+        rules = (
+            *(rule.required, rule.at_dock, rule.taper, rule.dock_run, START_RELIEF_SLOPE, at_start),
+            *(*self._start.tolist(), *self._goal.tolist()),
+            *(max(self._start_clearance, 0.0), max(self._goal_clearance, 0.0), _MARGIN_SLOPE),
+            *(TOLERANCE, self.footprint.circumscribed_radius),
+        )
+        circles = [part for one in self.levels for part in (*one.centres.T, one.cover, one.inside)]
+        numbers = np.concatenate((rules, *circles, robot.numbers))
+        near, work = np.empty(m, dtype=np.int64), np.empty(2 * (robot.corners + k + robot.circles))
+        return tuple([(part, part.size) for part in (sizes, numbers, near, work)])
 
 
-_POSES_KERNEL = Kernel("optdock_are_free", sizes=2, numbers=0)
+_POSES_KERNEL = Kernel("optdock_are_free", sizes=2, numbers=3)
 
 
 def _are_free_native(space: FreeSpace, poses: FloatArray, margin: float, start_relief: float) -> BoolArray:
@@ -214,7 +194,8 @@ def _are_free_native(space: FreeSpace, poses: FloatArray, margin: float, start_r
     free = np.empty(n, dtype=np.int64)
     arrays = (np.ascontiguousarray(poses), 3 * n), (free, n)
     space.check(_POSES_KERNEL, (n,), (), arrays, (margin, start_relief))
-    return free.astype(np.bool_)
+    found: BoolArray = free != 0
+    return found
 
 
 @twin_of(_are_free_native)

@@ -1,6 +1,6 @@
 /* Collision checks of the search: poses, arcs and sequences of arcs by the distance field, its covering discs and exact
  * distances (R6, docs/theory/search.md). In C: `_are_free` of `free_space.py`, and `_extensions`, `are_free`,
- * `first_free` and `may_be_free` of `arcs.py`.
+ * `first_free`, `may_be_free` and, without a collision check, `_poses_by_gear` of `arcs.py`.
  *
  * Tiles of the field are computed when a pose first needs them. The signed distance of convex polygons is the largest
  * gap over the edge normals of both and the direction between the nearest vertices, as in `geometry/separation.py`. Only
@@ -13,10 +13,9 @@
 #define TILE 32 /* grid points along the side of a tile */
 
 /* Of `distance_field_kernel.c`. */
-int64_t optdock_tile_values(int64_t n, int64_t tiles, int64_t m, int64_t k, double spacing, double reach,
-                            const int64_t *which, const double *origin, const int64_t *is_box, const double *low,
-                            const double *high, const double *vertices, const double *normals, const double *offsets,
-                            double *values);
+int64_t optdock_add_tile(int64_t tile, int64_t *progress, int64_t *slots, double *values, const int64_t *shape,
+                         const double *grid, const double *vertices, const double *normals, const double *offsets,
+                         const double *low, const double *high);
 
 /* A polygon in the world: corners and outward normals (count, 2), offsets (count,). */
 typedef struct {
@@ -120,44 +119,45 @@ typedef struct {
 
 /* The free space. */
 typedef struct {
-    int64_t tiles;           /* of the field, along a side */
-    const double *numbers;   /* spacing, first point and reach of the field [m] */
-    int64_t *slots;          /* (tiles, tiles), index of the values of every tile; -1: not computed yet */
-    double *values;          /* (tiles for which there is room, TILE, TILE) [m] */
-    int64_t computed, limit; /* tiles that have values, and with which the call ends */
-    int64_t checked;         /* poses checked in this call */
+    int64_t *progress, *slots; /* of the field, as the next four: see `optdock_add_tile` */
+    double *values;
+    const int64_t *shape;
+    const double *grid;
+    int64_t m, k;             /* obstacles, corners of an obstacle */
+    const double *vertices, *normals, *offsets, *low, *high;
+    int64_t checked;          /* poses checked in this call */
     int64_t levels, discs[2]; /* of discs that are used: coarse, fine; numbers of discs of both */
     const double *circles[2]; /* (4, discs) each: x, y, radius that covers, radius inside [m] */
-    int64_t bodies, m, k;     /* bodies, obstacles, corners of an obstacle */
+    int64_t bodies;
     const int64_t *body_sizes; /* (bodies, 2), corners and circles */
     const double *body_numbers; /* radius, reach, vertices, normals, offsets and centres of each */
-    const int64_t *is_box; /* (m,), 1 for axis-aligned rectangles, otherwise 0 */
-    const double *vertices, *normals, *offsets, *low, *high;
     int64_t *near, near_count; /* rows of the obstacles near the poses in the box; -1: not collected yet */
     double box[4];             /* least x and y, largest x and y of the poses */
-    const double *rule;        /* see `required_at` */
+    double margin, relief, leaving; /* see `required_at`, as the next */
+    const double *rule;
     double *work;              /* 2 (corners + k + circles) numbers */
 } Space;
 
 /* Arguments of all checks of poses:
  *
+ *   margin, relief, leaving  [m], see `required_at`
+ *   sizes     (4 + 2 bodies,): levels, coarse discs, fine discs, bodies; `body_sizes`
+ *   numbers   15 numbers of `required_at`, `circles`, `body_numbers`
+ *   near      work, (obstacles,); work: 2 (corners + corners of an obstacle + circles) numbers
  *   progress  in and out, (3,): items done; tiles that have values, and the number of them with which the call ends
- *   sizes     (7 + 2 bodies,): tiles, levels, coarse discs, fine discs, bodies, obstacles, corners of an obstacle;
- *             `body_sizes`
- *   numbers   spacing, first point and reach of the field [m], 18 numbers of `required_at`, `circles`, `body_numbers`
- *   is_box, vertices ... high, slots, values: see `Space`
- *   near      work, (obstacles,); work: 2 (corners + corners of an obstacle + circles) numbers */
+ *   slots ... high  see `optdock_add_tile` */
+#define LIMITS double margin, double relief, double leaving
 #define SPACE_PARAMETERS                                                                                               \
-    int64_t *progress, const int64_t *sizes, const double *numbers, const int64_t *is_box, const double *vertices,     \
-        const double *normals, const double *offsets, const double *low, const double *high, int64_t *slots,           \
-        double *values, int64_t *near, double *work
+    const int64_t *sizes, const double *numbers, int64_t *near, double *work, int64_t *progress, int64_t *slots,       \
+        double *values, const int64_t *shape, const double *grid, const double *vertices, const double *normals,       \
+        const double *offsets, const double *low, const double *high
 #define SPACE                                                                                                          \
     (Space)                                                                                                            \
     {                                                                                                                  \
-        sizes[0], numbers, slots, values, progress[1], progress[2], 0, sizes[1], {sizes[2], sizes[3]},                 \
-            {numbers + 22, numbers + 22 + 4 * sizes[2]}, sizes[4], sizes[5], sizes[6], sizes + 7,                      \
-            numbers + 22 + 4 * (sizes[2] + sizes[3]), is_box, vertices, normals, offsets, low, high, near, -1,         \
-            {0.0, 0.0, 0.0, 0.0}, numbers + 4, work                                                                    \
+        progress, slots, values, shape, grid, shape[1], shape[2], vertices, normals, offsets, low, high, 0, sizes[0],  \
+            {sizes[1], sizes[2]}, {numbers + 15, numbers + 15 + 4 * sizes[1]}, sizes[3], sizes + 4,                    \
+            numbers + 15 + 4 * (sizes[1] + sizes[2]), near, -1, {0.0, 0.0, 0.0, 0.0}, margin, relief, leaving,         \
+            numbers, work                                                                                              \
     }
 
 /* A cell of the grid; NaN becomes 0. */
@@ -166,27 +166,20 @@ static double clamped(double cell, double last) { return cell > last ? last : ce
 /* Whether a tile has values, which are computed if the limit of tiles is not reached. */
 static int has_values(Space *space, int64_t tile)
 {
-    const double *numbers = space->numbers;
-    if (space->slots[tile] >= 0)
-        return 1;
-    if (space->computed == space->limit)
-        return 0;
-    optdock_tile_values(1, space->tiles, space->m, space->k, numbers[0], numbers[3], &tile, numbers + 1, space->is_box,
-                        space->low, space->high, space->vertices, space->normals, space->offsets,
-                        space->values + TILE * TILE * space->computed);
-    space->slots[tile] = space->computed++;
-    return 1;
+    return space->slots[tile] >= 0 ||
+           optdock_add_tile(tile, space->progress, space->slots, space->values, space->shape, space->grid,
+                            space->vertices, space->normals, space->offsets, space->low, space->high);
 }
 
 /* Set the bounds of the distance of a point. Return 0 if the tile of the point has no values. */
 static int bounds_at(Space *space, double px, double py, Bounds *bounds)
 {
-    double spacing = space->numbers[0], last = (double)(TILE * space->tiles - 1);
-    double u = (px - space->numbers[1]) / spacing, v = (py - space->numbers[2]) / spacing;
+    double spacing = space->grid[0], last = (double)(TILE * space->shape[0] - 1);
+    double u = (px - space->grid[1]) / spacing, v = (py - space->grid[2]) / spacing;
     double column = rint(u), row = rint(v);
     int is_inside = column >= 0.0 && column <= last && row >= 0.0 && row <= last;
     int64_t i = (int64_t)clamped(column, last), j = (int64_t)clamped(row, last);
-    int64_t tile = i / TILE * space->tiles + j / TILE;
+    int64_t tile = i / TILE * space->shape[0] + j / TILE;
     if (!has_values(space, tile))
         return 0;
     double distance = space->values[TILE * TILE * space->slots[tile] + TILE * (i % TILE) + j % TILE];
@@ -221,21 +214,22 @@ static double tapered(const double *rule, double distance, double least)
     return least + (rule[0] - least) * share;
 }
 
-/* The required clearance at a position, as `FreeSpace.required`, less the tolerance. rule: required, at_dock, taper,
- * dock_run, least clearance of the start, slope, start_relief, at_start (NaN: none), x and y of start and goal, margin,
- * clearances of start and goal if positive, slope of the margin, tolerance, reach of the footprint. */
-static double required_at(const double *rule, double x, double y)
+/* The required clearance at a position, as `FreeSpace.required` with a margin and a start relief, less the tolerance.
+ * leaving: the least clearance of the start. rule: required, at_dock, taper, dock_run, slope, at_start (NaN: none), x and
+ * y of start and goal, clearances of start and goal if positive, slope of the margin, tolerance, reach of the footprint. */
+static double required_at(const Space *space, double x, double y)
 {
-    double from_start = hypot(x - rule[8], y - rule[9]), from_goal = hypot(x - rule[10], y - rule[11]);
-    double leaving = rule[4] + rule[5] * larger(0.0, from_start - rule[6]);
-    if (rule[6] > 0.0 && rule[7] == rule[7])
-        leaving = smaller(leaving, tapered(rule, from_start, rule[7]));
+    const double *rule = space->rule;
+    double from_start = hypot(x - rule[6], y - rule[7]), from_goal = hypot(x - rule[8], y - rule[9]);
+    double leaving = space->leaving + rule[4] * larger(0.0, from_start - space->relief);
+    if (space->relief > 0.0 && rule[5] == rule[5])
+        leaving = smaller(leaving, tapered(rule, from_start, rule[5]));
     double kept = smaller(tapered(rule, from_goal, rule[1]), leaving);
-    if (rule[12] > 0.0) {
-        double ends = smaller(rule[13] + rule[15] * from_start, rule[14] + rule[15] * from_goal);
-        kept = larger(kept, smaller(kept + rule[12], ends));
+    if (space->margin > 0.0) {
+        double ends = smaller(rule[10] + rule[12] * from_start, rule[11] + rule[12] * from_goal);
+        kept = larger(kept, smaller(kept + space->margin, ends));
     }
-    return kept - rule[16];
+    return kept - rule[13];
 }
 
 static void set_box(Space *space, double x0, double y0, double x1, double y1)
@@ -250,7 +244,7 @@ static void set_box(Space *space, double x0, double y0, double x1, double y1)
 /* Collect the obstacles that may be nearer than required to a footprint at a pose in the box. */
 static void find_near(Space *space)
 {
-    double reach = space->rule[17] + space->rule[0] + larger(space->rule[12], 0.0) + 1e-3;
+    double reach = space->rule[14] + space->rule[0] + larger(space->margin, 0.0) + 1e-3;
     const double *box = space->box;
     space->near_count = 0;
     for (int64_t o = 0; o < space->m; o++) {
@@ -294,7 +288,7 @@ static int is_free(Space *space, double x, double y, double yaw)
     Pose at = {x, y, cos(yaw), sin(yaw)};
     if (space->m == 0)
         return 1;
-    double required = required_at(space->rule, x, y);
+    double required = required_at(space, x, y);
     space->checked++;
     for (int level = 0; level < space->levels; level++) {
         int state = disc_state(space, at, required, level);
@@ -327,14 +321,6 @@ static void advance(const double *from, double length, double curvature, double 
     to[2] = from[2] + turn;
 }
 
-/* Note where a check has stopped: the numbers of items done, and of tiles that have values. */
-static int64_t stopped(const Space *space, int64_t done, int64_t *progress)
-{
-    progress[0] = done;
-    progress[1] = space->computed;
-    return 0;
-}
-
 static int is_free_after(Space *space, const double *from, double length, double curvature)
 {
     double pose[3];
@@ -346,7 +332,7 @@ static int is_free_after(Space *space, const double *from, double length, double
  *
  *   n, most   number of poses; most of them that are checked in this call
  *   poses     (n, 3); free: out, (n,), 1 or 0 */
-int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *free, SPACE_PARAMETERS)
+int64_t optdock_are_free(int64_t n, int64_t most, LIMITS, const double *poses, int64_t *free, SPACE_PARAMETERS)
 {
     Space space = SPACE;
     double x0 = INFINITY, y0 = INFINITY, x1 = -INFINITY, y1 = -INFINITY;
@@ -364,7 +350,8 @@ int64_t optdock_are_free(int64_t n, int64_t most, const double *poses, int64_t *
             break;
         free[i] = found;
     }
-    return stopped(&space, i, progress);
+    progress[0] = i;
+    return 0;
 }
 
 /* Collision-free length of an arc up to `longest`, from poses `spacing` apart; -1 if a tile has no values. `bend`: sign of
@@ -410,7 +397,7 @@ static double free_length(Space *space, const double *from, const double *bend, 
  *   found           in and out, (1,), number of ends
  *   parents, ends   out, (n (places + 1),), rows of the tree; (n (places + 1), 7), as `nodes` */
 int64_t optdock_extensions(int64_t n, int64_t moves, int64_t places, int64_t bisections, int64_t most, double spacing,
-                           double gear, double speed, double reverse_speed, double reverse_price, double stop,
+                           double gear, double speed, double reverse_speed, double reverse_price, double stop, LIMITS,
                            const int64_t *rows, const double *nodes, const double *bends, const double *stations,
                            int64_t *found, int64_t *parents, double *ends, SPACE_PARAMETERS)
 {
@@ -437,7 +424,8 @@ int64_t optdock_extensions(int64_t n, int64_t moves, int64_t places, int64_t bis
             parents[found[0]++] = rows[i / moves];
         }
     }
-    return stopped(&space, i, progress);
+    progress[0] = i;
+    return 0;
 }
 
 /* Whether a sequence of arcs is free at poses at most `spacing` apart and at all joints: 1 or 0, or -1 if a tile has no
@@ -492,7 +480,7 @@ static void set_box_around(Space *space, const double *start, int64_t count, con
  *   n, count, most  numbers of sequences and of arcs of each, and of poses after which the call ends
  *   spacing         [m]
  *   starts          (n, 3); lengths, curvatures: (n, count); free: out, (n,), 1 or 0 */
-int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double spacing, const double *starts,
+int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double spacing, LIMITS, const double *starts,
                                const double *lengths, const double *curvatures, int64_t *free, SPACE_PARAMETERS)
 {
     Space space = SPACE;
@@ -505,7 +493,8 @@ int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double sp
             break;
         free[i] = found;
     }
-    return stopped(&space, i, progress);
+    progress[0] = i;
+    return 0;
 }
 
 /* The first sequence of arcs that is free at shares of its length, and then at poses at most `spacing` apart and at all
@@ -515,9 +504,9 @@ int64_t optdock_free_sequences(int64_t n, int64_t count, int64_t most, double sp
  *   spacing                 [m]
  *   starts                  (n, 3); lengths, curvatures: (n, count); shares: (places,), ascending
  *   first                   out, (1,), the row of the sequence if one is found, which ends the check */
-int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t most, double spacing, const double *starts,
-                           const double *lengths, const double *curvatures, const double *shares, int64_t *first,
-                           SPACE_PARAMETERS)
+int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t most, double spacing, LIMITS,
+                           const double *starts, const double *lengths, const double *curvatures, const double *shares,
+                           int64_t *first, SPACE_PARAMETERS)
 {
     Space space = SPACE;
     int64_t i;
@@ -534,7 +523,8 @@ int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t mos
             i = n - 1;
         }
     }
-    return stopped(&space, i, progress);
+    progress[0] = i;
+    return 0;
 }
 
 /* Whether no coarse disc inside the footprint overlaps an obstacle at shares of the length of sequences of arcs, those
@@ -542,7 +532,7 @@ int64_t optdock_first_free(int64_t n, int64_t count, int64_t places, int64_t mos
  *
  *   n, count, places, most  as for `optdock_first_free`; starts to shares too
  *   may                     out, (n,), 1 or 0 */
-int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t most, const double *starts,
+int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t most, LIMITS, const double *starts,
                             const double *lengths, const double *curvatures, const double *shares, int64_t *may,
                             SPACE_PARAMETERS)
 {
@@ -555,5 +545,41 @@ int64_t optdock_may_be_free(int64_t n, int64_t count, int64_t places, int64_t mo
             break;
         may[i] = found;
     }
-    return stopped(&space, i, progress);
+    progress[0] = i;
+    return 0;
+}
+
+/* Poses of a sequence of arcs, gear by gear: the poses of every arc without its end, then the end of the gear.
+ *
+ *   n, fewest  numbers of arcs, and of poses of each that moves, without its end, at least
+ *   spacing    largest distance of the poses along an arc [m]
+ *   start      (3,); lengths, curvatures: (n,)
+ *   poses      out, room for n (fewest + 2) poses and one per spacing, (., 3)
+ *   counts     out, (n,), numbers of poses of each gear, negative in reverse
+ *   found      out, (2,), numbers of poses and of gears */
+int64_t optdock_poses_by_gear(int64_t n, int64_t fewest, double spacing, const double *start, const double *lengths,
+                              const double *curvatures, double *poses, int64_t *counts, int64_t *found)
+{
+    double joint[3] = {start[0], start[1], start[2]};
+    int64_t rows = 0, first = 0, gears = 0, gear = 0;
+    for (int64_t i = 0; i < n; i++) {
+        double length = fabs(lengths[i]), parts = ceil(length / spacing - 1e-9);
+        if (length > 1e-9) {
+            int64_t sign = lengths[i] > 0.0 ? 1 : -1;
+            if (sign * gear < 0) { /* behind the end of the last gear */
+                counts[gears++] = gear * (++rows - first);
+                first = rows;
+            }
+            gear = sign;
+            parts = parts < (double)fewest ? (double)fewest : parts;
+            for (double rank = 0.0; rank < parts; rank += 1.0)
+                advance(joint, lengths[i] * rank / parts, curvatures[i], poses + 3 * rows++);
+            advance(joint, lengths[i], curvatures[i], poses + 3 * rows); /* the end, if it is that of a gear */
+        }
+        advance(joint, lengths[i], curvatures[i], joint);
+    }
+    counts[gears++] = gear * (++rows - first);
+    found[0] = rows;
+    found[1] = gears;
+    return 0;
 }

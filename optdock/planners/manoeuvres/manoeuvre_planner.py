@@ -18,7 +18,14 @@ from pydantic import Field
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, words_between
+from optdock.planners.manoeuvres.connections import (
+    TreeNodes,
+    all_pairs,
+    connections,
+    free_manoeuvres,
+    with_last,
+    words_between,
+)
 from optdock.planners.manoeuvres.disc_routes import elastic_band
 from optdock.planners.manoeuvres.end_trees import (
     BOTH,
@@ -181,20 +188,22 @@ class Stages:
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
     ) -> None:
         self.problem, self._poll, self._better_than = problem, poll, better_than
-        footprint = problem.robot.footprint
-        self.radius = turning_radius(problem)
-        margin = 0.02 * footprint.width
-        eased, sharp = slack * self.radius, self.radius
+        self.radius, self._slack = turning_radius(problem), slack
+        self._known: list[_Way] = []
+
+    @functools.cached_property
+    def _efforts(self) -> tuple[Effort, ...]:
+        problem, margin = self.problem, 0.02 * self.problem.robot.footprint.width
+        eased, sharp = self._slack * self.radius, self.radius
         # The weaker clearance rule of a start along a wall comes last; the certificate also tries the strict one first.
         is_too_close = end_clearances(problem).start < problem.path_clearance.required
         relief = problem.start_run if is_too_close else 0.0
-        self._efforts: tuple[Effort, ...] = (
+        return (
             Effort(eased, margin, 12, 4000),
             Effort(sharp, margin, 12, 4000),
             Effort(eased, 0.0, 24, 4000, relief),
             Effort(sharp, 0.0, 80, 8000, relief),
         )
-        self._known: list[FloatArray] = []
 
     def guesses(self) -> Iterator[Guess | None]:
         """Yield the guesses of all stages, the first of them after a few milliseconds."""
@@ -248,12 +257,13 @@ class Stages:
     @functools.cached_property
     def _cheapest_word(self) -> float:
         """The least price [s] of a word to the final straight, without regard to obstacles."""
-        straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
-        ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
-        starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
-        goals = np.stack([end.as_array() for end in ends])
+        straights = self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
+        ends = [self.problem.goal @ Pose2(-straight, 0.0, 0.0) for straight in straights.tolist()]
+        starts, goals = (
+            np.array([pose.as_array() for pose in some]) for some in ([self.problem.start] * len(ends), ends)
+        )
         words = words_between(starts, goals, self.radius, self.problem.robot, len(TURNS))
-        ways = np.column_stack((words.lengths, -straights[words.pair]))
+        ways = with_last(words.lengths, straights[words.pair])
         return float(least_prices(ways, self.problem).min(initial=math.inf))
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
@@ -283,10 +293,9 @@ class Stages:
             return
         start = self.trees.from_start()
         found = connections(*all_pairs(TreeNodes(start, ROOT), staging), effort.radius, self.space, _WORDS_PER_PAIR)
-        self._poll()
-        found = found.rows(found.prices < self._worthwhile())
+        found = found.rows(slice(int(found.prices.searchsorted(self._worthwhile()))))
         # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
-        ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
+        ways = with_last(found.lengths, -staging.tree.lengths[found.entries])
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
         ways_in = free_manoeuvres(
             found, start, staging.tree, self.space, effort, self._better_than, per_change=_SLOW_STOP
@@ -333,7 +342,8 @@ class Stages:
             way = self._wave_for_routes.way(target)
             if way is None:
                 return
-            route = elastic_band(np.stack((start[:2], *way[1:-1], target)), self.space, effort.radius + radius)
+            route = np.concatenate((start[None, :2], way[1:-1], target[None]))
+            route = elastic_band(route, self.space, effort.radius + radius)
             ways = roadmap_ways(exits, entries, self.space, effort, route, self._worthwhile)
             yield from self._offered("roadmap", ways)
 
@@ -397,7 +407,6 @@ class Stages:
             if not self._may_be_cheaper(arcs) or not self._is_another_way(arcs):
                 continue
             offered += 1
-            self._poll()
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             yield Guess(path, stage)
             if offered == _TRIES:
@@ -417,9 +426,20 @@ class Stages:
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a manoeuvre differs from all manoeuvres yielded before by more than half the width of the robot."""
-        places = arcs.poses_at_shares(_PLACES)[0, :, :2]
-        near = 0.5 * self.problem.robot.footprint.width
-        if any(np.abs(places - other).max() < near for other in self._known):
+        way, near = _Way(arcs), 0.5 * self.problem.robot.footprint.width
+        if any(np.abs(way.places - other.places).max() < near for other in self._known):
             return False
-        self._known.append(places)
+        self._known.append(way)
         return True
+
+
+class _Way:
+    """A manoeuvre that was yielded, with the positions at which others are compared with it, computed on demand."""
+
+    def __init__(self, arcs: Arcs) -> None:
+        self._arcs = arcs
+
+    @functools.cached_property
+    def places(self) -> FloatArray:
+        """Shape (17, 2) [m]."""
+        return self._arcs.poses_at_shares(_PLACES)[0, :, :2]

@@ -238,5 +238,5 @@ def ends_cost(problem: DockingProblem) -> float:
 
 def gear_changes(lengths: FloatArray) -> IntArray:
     """Return the number of gear changes along signed lengths, without zeros; Shape (n, k) to (n,)."""
-    driven = [[length for length in row if abs(length) > _LEAST_MOTION] for row in lengths.tolist()]
+    driven = [[one for one in row if not -_LEAST_MOTION <= one <= _LEAST_MOTION] for row in lengths.tolist()]
     return np.array([sum([a * b < 0.0 for a, b in itertools.pairwise(row)]) for row in driven], dtype=np.int64)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -49,12 +49,16 @@ class _Edges(NamedTuple):
     curvatures: FloatArray
 
 
-class _Label(NamedTuple):
-    """The cheapest known path to a vertex: its price, the gear at its end, and its last edge."""
+class _Labels(NamedTuple):
+    """The cheapest known paths to all vertices: their prices, the gears at their ends, and their last edges."""
 
-    price: float
-    gear: float
-    edge: int
+    prices: list[float]
+    gears: list[float]
+    edges: list[int]
+
+
+# Words that leave one vertex, in ascending order: bound of a whole path, price of the path so far, and its last edge.
+_Words: TypeAlias = list[tuple[float, float, int]]
 
 
 def roadmap_ways(
@@ -97,12 +101,18 @@ class _LazySearch:
         self._station = np.concatenate((first, free % self._count, last))
         self._begin, self._end = self._out.size, self._out.size + free.size
         self._edges = self._words()
-        self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1))
+        self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1)).tolist()
+        # Of the edges; the last ones are bounds of the price from the target to the entries.
+        self._targets, self._prices = self._edges.targets.tolist(), self._edges.prices.tolist()
+        self._begins = self._edges.begins.tolist()
+        left = self._count - self._station[self._edges.targets]
+        self._rest = (left * self._spacing / self._speed).tolist()
 
     def _words(self) -> _Edges:
         """Return words between vertices that are close to each other along the route, in gears allowed at both ends."""
-        station, vertex = self._station, np.arange(len(self._poses))
-        i, j = (grid.ravel() for grid in np.meshgrid(vertex[: self._end], vertex[self._begin :], indexing="ij"))
+        station, targets = self._station, len(self._poses) - self._begin
+        i, j = np.divmod(np.arange(self._end * targets), targets)
+        j += self._begin
         on, leaves, arrives = station[j] - station[i], i < self._begin, j >= self._end
         wanted = np.where(leaves, station[j] < _NEAR_ENDS, station[i] >= self._count - _NEAR_ENDS)
         wanted = np.where(leaves | arrives, wanted & (leaves != arrives), (on >= 0) & (on <= _AHEAD) & (i != j))
@@ -119,52 +129,60 @@ class _LazySearch:
     def ways(self) -> Iterator[tuple[float, Arcs]]:
         """Yield complete paths of free words with their prices as they are found."""
         self._space.poll()
-        labels = [_Label(math.inf, 0.0, -1)] * len(self._poses)
-        opened: list[tuple[float, float, int]] = []
-        for vertex, row in enumerate(self._out.tolist()):
-            labels[vertex] = _Label(float(self._exits.prices[row]), float(self._exits.signs[row]), -1)
+        count, opened = len(self._poses), list[_Words]()
+        labels = _Labels([math.inf] * count, [0.0] * count, [-1] * count)
+        labels.prices[: self._begin], labels.gears[: self._begin] = self._exits.nodes[self._out, 3:5].T.tolist()
+        for vertex in range(self._begin):
             self._push(vertex, labels, opened)
         checked, most = 0, _MOST_CHECKS
         while opened and checked < most:
             some = self._next(opened, labels)
             checked += len(some)
             for (price, edge), is_free in zip(some, self._are_free([edge for _, edge in some]), strict=True):
-                target = int(self._edges.targets[edge])
-                if not is_free or labels[target].price <= price:
+                target = self._targets[edge]
+                if not is_free or labels.prices[target] <= price:
                     continue
-                labels[target] = _Label(price, float(self._edges.ends[edge]), edge)
+                labels.prices[target], labels.gears[target], labels.edges[target] = (
+                    price,
+                    float(self._edges.ends[edge]),
+                    edge,
+                )
                 if target < self._end:
                     self._push(target, labels, opened)
                     continue
                 most = min(most, checked + _MORE_CHECKS)
                 row = int(self._into[target - self._end])
-                turns = labels[target].gear * -float(self._entries.signs[row]) < 0.0
+                turns = bool(labels.gears[target] * -self._entries.signs[row] < 0.0)
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
-    def _push(self, vertex: int, labels: list[_Label], opened: list[tuple[float, float, int]]) -> None:
+    def _push(self, vertex: int, labels: _Labels, opened: list[_Words]) -> None:
         """Push the words that leave a vertex for a better label, with the price so far plus a bound for the rest."""
-        some = slice(self._of[vertex], self._of[vertex + 1])
-        changes, targets = self._edges.begins[some] * labels[vertex].gear < 0.0, self._edges.targets[some]
-        prices = labels[vertex].price + self._edges.prices[some] + self._stop * changes
-        bounds = prices + (self._count - self._station[targets]) * self._spacing / self._speed
-        edges = range(some.start, some.stop)
-        for bound, price, target, edge in zip(bounds.tolist(), prices.tolist(), targets.tolist(), edges, strict=True):
-            if price < labels[target].price:
-                heapq.heappush(opened, (bound, price, edge))
+        before, gear = labels.prices[vertex], labels.gears[vertex]
+        better = [
+            (price + self._rest[edge], price, edge)
+            for edge in range(self._of[vertex], self._of[vertex + 1])
+            if (price := before + self._prices[edge] + self._stop * (self._begins[edge] * gear < 0.0))
+            < labels.prices[self._targets[edge]]
+        ]
+        if better:
+            heapq.heappush(opened, sorted(better))
 
-    def _next(self, opened: list[tuple[float, float, int]], labels: list[_Label]) -> list[tuple[float, int]]:
+    def _next(self, opened: list[_Words], labels: _Labels) -> list[tuple[float, int]]:
         """Pop the next words to check, with the prices of the paths to their ends."""
         some: list[tuple[float, int]] = []
         while opened and len(some) < _BATCH:
-            _, price, edge = heapq.heappop(opened)
-            if price < labels[int(self._edges.targets[edge])].price:
+            (_, price, edge), *others = opened[0]
+            if others:
+                heapq.heapreplace(opened, others)
+            else:
+                heapq.heappop(opened)
+            if price < labels.prices[self._targets[edge]]:
                 some.append((price, edge))
         return some
 
     def _are_free(self, edges: list[int]) -> list[bool]:
         if not edges:
             return []
-        self._space.poll()
         sources, spacing = self._poses[self._edges.sources[edges]], self._space.spacing(self._effort)
         words = Arcs(sources, self._edges.lengths[edges], self._edges.curvatures[edges])
         found: list[bool] = are_free(
@@ -172,10 +190,10 @@ class _LazySearch:
         ).tolist()
         return found
 
-    def _way(self, vertex: int, labels: list[_Label]) -> Arcs:
+    def _way(self, vertex: int, labels: _Labels) -> Arcs:
         """Return the whole path that ends at an entry."""
         parts = [self._entries.way(int(self._into[vertex - self._end]))]
-        while (edge := labels[vertex].edge) >= 0:
+        while (edge := labels.edges[vertex]) >= 0:
             parts.append((self._edges.lengths[edge], self._edges.curvatures[edge]))
             vertex = int(self._edges.sources[edge])
         parts.append(self._exits.way(int(self._out[vertex])))

@@ -13,12 +13,13 @@ from optdock.geometry.nurbs import Nurbs, shares
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.kernels import using_kernels
-from optdock.model.dock import Dock
+from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
+from optdock.planners.manoeuvres import arcs as arcs_module
 from optdock.planners.manoeuvres import connections, price
-from optdock.planners.manoeuvres.arcs import Arcs, advance, are_free, first_free, may_be_free
+from optdock.planners.manoeuvres.arcs import Arcs, ArcTree, advance, are_free, first_free, may_be_free
 from optdock.planners.manoeuvres.disc_routes import Wavefront, elastic_band
 from optdock.planners.manoeuvres.distance_field import DistanceField
 from optdock.planners.manoeuvres.free_space import FreeSpace
@@ -76,6 +77,43 @@ def test_cheapest_words_of_both_lanes_are_equal(kind):
     assert np.abs(ends[:, :2] - goals[native.pair, :2]).max(initial=0.0) < 1e-9
     at_full_speed = price.driving_prices(native.lengths, robot).sum(axis=1)
     assert native.driven == pytest.approx(at_full_speed, abs=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2, -0.2])
+@pytest.mark.parametrize("direction", list(DockDirection))
+def test_connections_of_both_lanes_are_equal(direction, speed):
+    """Also for more pairs than are examined between two polls, and for words without motion."""
+    draw, scene, polled = np.random.default_rng(4), instance("reverse_cusp", 0).problem, []
+    dock = dataclasses.replace(scene.dock, direction=direction)
+    space = FreeSpace(dataclasses.replace(scene, dock=dock, start_speed=speed), lambda: polled.append(1))
+    trees = [ArcTree(np.zeros(3), scene.robot, gear) for gear in (1, -1)]
+    for tree in trees:
+        poses, signs = np.round(draw.normal(0.0, 1.5, (20, 3)), 1), draw.choice([-1.0, 0.0, 1.0], 20)
+        tree._set(np.full(20, -1), np.column_stack((poses, draw.uniform(0.0, 3.0, 20), signs, np.zeros((20, 2)))))
+    trees[1].nodes[:4, :3] = trees[0].nodes[:4, :3]
+    ends = connections.all_pairs(*(connections.TreeNodes(tree, np.arange(20)) for tree in trees))
+    polled.clear()
+    twin, native = both_lanes(lambda: connections.connections(*ends, 0.6, space, 5))
+    assert_equal(twin, native)
+    assert len(polled) == 4
+    assert np.all(np.diff(native.prices) >= 0.0)
+    assert 300 < native.prices.size <= 2000
+
+
+@pytest.mark.parametrize("spacing", [0.003, 0.05, 10.0])
+def test_poses_by_gear_of_both_lanes_are_equal(spacing):
+    draw = np.random.default_rng(6)
+    for _ in range(40):
+        lengths = draw.normal(0.0, 1.0, (1, 9)) * draw.choice([0.0, 1e-10, 1.0, 1.0], (1, 9))
+        whole = Arcs(draw.normal(0.0, 2.0, (1, 3)), lengths, draw.choice([0.0, 1.25, -1.25], (1, 9)))
+        if np.abs(lengths).max() < 1e-9:
+            continue
+        twin, native = both_lanes(lambda arcs=whole: arcs_module._poses_by_gear(arcs, spacing))
+        assert_equal(twin, native)
+        poses, counts = native
+        assert np.abs(counts).sum() == len(poses)
+        assert np.all(counts[1:] * counts[:-1] < 0)
+        assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() <= spacing + 1e-9
 
 
 def test_joints_are_the_ends_of_one_arc_after_the_other():
