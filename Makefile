@@ -11,6 +11,8 @@ AUDITED := tests/optdock/verification/test_conservative_advancement.py tests/opt
 	tests/optdock/planners/manoeuvres tests/smoothers/test_casadi_smoother.py tests/smoothers/test_tracking.py \
 	tests/optdock/test_deformation.py tests/optdock/test_pipeline.py \
 	tests/optdock/verification/test_search_for_proofs.py tests/optdock/controllers/test_mpc_program.py
+# Tests that `make unit` leaves out: `make docs`, `make test-experiments` and `make test-ui` run them.
+UNIT_LEFT_OUT := docs experiments browser
 BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin
 ROS_DISTRO := kilted
@@ -33,7 +35,7 @@ LIBRARY := optdock/_kernels.shared
 # Compiled modules are kept also where the environment says otherwise: hundreds of processes import the same ones.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs ui-env test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-types ros-demo test-ros bench-ros clean
+.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs site ui-env test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-types ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
@@ -107,8 +109,8 @@ test-aarch64: kernels
 
 unit: $(STAMP)
 	$(MAKE) $(LIBRARY) || echo "no kernels in C: the tests run with NumPy alone"
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
-	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal tests $(UNIT_LEFT_OUT:%=--ignore=tests/%)
+	$(BIN)/python -m pytest -q --doctest-modules $$(grep -rl '>>> ' --include='*.py' optdock smoothers checkers)
 
 test: check unit
 
@@ -117,6 +119,9 @@ test-experiments: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m pytest -q -n 2 tests/docs
+	$(MAKE) site
+
+site: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
 
