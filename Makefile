@@ -11,6 +11,8 @@ AUDITED := tests/optdock/verification/test_conservative_advancement.py tests/opt
 	tests/optdock/planners/manoeuvres tests/smoothers/test_casadi_smoother.py tests/smoothers/test_tracking.py \
 	tests/optdock/test_deformation.py tests/optdock/test_pipeline.py \
 	tests/optdock/verification/test_search_for_proofs.py tests/optdock/controllers/test_mpc_program.py
+# Tests that `make unit` leaves out: `make docs`, `make test-experiments` and `make test-ui` run them.
+UNIT_LEFT_OUT := docs experiments browser
 BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin
 ROS_DISTRO := kilted
@@ -26,6 +28,8 @@ ROS_WHEELS := ros/requirements$(ROS_SUFFIX).txt
 ROS_LEFT_OUT := $(if $(ROS_SUFFIX),test_control_loop test_demo_ends test_docs test_harness)
 ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml $(ROS_WHEELS) \
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
+# The pip that comes with Python 3.11 takes twice the time of the present one; without the present one, it serves.
+NEW_PIP := pip install --quiet --disable-pip-version-check --upgrade pip
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 LIBRARY := optdock/_kernels.shared
@@ -33,7 +37,7 @@ LIBRARY := optdock/_kernels.shared
 # Compiled modules are kept also where the environment says otherwise: hundreds of processes import the same ones.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs ui-env test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-types ros-demo test-ros bench-ros clean
+.PHONY: help demo test check unit kernels test-kernels test-aarch64 test-experiments docs site ui-env test-ui report-check figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-types ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
@@ -62,6 +66,7 @@ $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "optdock needs Python >= 3.10")'
 	@echo "making an environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
+	-$(BIN)/python -m $(NEW_PIP)
 
 # What the demo needs; everything else needs more, and is installed at once, because every installation compiles the kernels.
 $(DEMO_STAMP): pyproject.toml | $(BIN)/python
@@ -107,8 +112,8 @@ test-aarch64: kernels
 
 unit: $(STAMP)
 	$(MAKE) $(LIBRARY) || echo "no kernels in C: the tests run with NumPy alone"
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile tests --ignore=tests/docs --ignore=tests/experiments --ignore=tests/browser
-	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal tests $(UNIT_LEFT_OUT:%=--ignore=tests/%)
+	$(BIN)/python -m pytest -q --doctest-modules $$(grep -rl '>>> ' --include='*.py' optdock smoothers checkers)
 
 test: check unit
 
@@ -117,6 +122,9 @@ test-experiments: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m pytest -q -n 2 tests/docs
+	$(MAKE) site
+
+site: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
 
@@ -152,6 +160,7 @@ $(ROS_STAMP):
 	@echo "making an environment in $(ROS_VENV)"
 	@rm -rf $(ROS_VENV)
 	@$(PYTHON) -m venv $(ROS_VENV)
+	-@$(ROS_BIN)/python -m $(NEW_PIP)
 	@echo "installing optdock and rclpy of $(ROS_DISTRO) from PyPI: 250 MB of wheels, a minute or two"
 	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bag,plot]' -r $(ROS_WHEELS) || { echo "make: \
 	no environment for the ROS package: the wheels of $(ROS_WHEELS) exist for x86-64 Linux and Python 3.10 to 3.13" >&2; exit 1; }
@@ -170,9 +179,10 @@ ros-demo: ros-env
 ros-types: ros-env
 	$(if $(ROS_SUFFIX),,$(ROS_BIN)/mypy --config-file ros/mypy.ini)
 
-# Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
+# Robots drive in real time: what failed beside other tests, five of them at most, must pass alone. The files are begun
+# by name, because the longest ones would come last by their numbers of tests: the demo has two, and takes a minute.
 test-ros: ros-types
-	$(ROS_BIN)/python .ci/retry.py --beside "-n $(ROS_WORKERS) --dist loadfile" -- -q -c ros/tests/pytest.ini \
+	$(ROS_BIN)/python .ci/retry.py --beside "-n $(ROS_WORKERS) --dist loadfile --no-loadscope-reorder" -- -q -c ros/tests/pytest.ini \
 		$(ROS_LEFT_OUT:%=--ignore=ros/tests/%.py) ros/tests
 
 bench-ros: ros-env

@@ -9,6 +9,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
+import typer.testing
 from hypothesis import HealthCheck, settings
 
 from optdock import kernels
@@ -70,15 +71,37 @@ def is_installed(kind):
 warm_up_installed_plugins_once()
 
 
+# A runner of commands prepares all commands for every call, which takes longer than most of the calls.
+if prepared := getattr(typer.testing, "_get_command", None):
+    typer.testing._get_command = functools.cache(prepared)
+
+
+def pytest_make_parametrize_id(val):
+    """Shorten the names of long texts: processes that share the tests send the names of all tests to each other."""
+    return f"{val[:40]!r} and more" if isinstance(val, str | bytes) and len(val) > 200 else None
+
+
 # What is imported and collected stays: garbage collections would look at all of it again and again.
 gc.disable()
 
 
 def pytest_collection_finish():
-    """Collect garbage from here on, but not among what was imported."""
+    """Collect garbage from here on, but not among what was imported, and not after every 700 objects."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(10_000)
     gc.enable()
+
+
+@pytest.fixture(scope="module")
+def coarse_pictures():
+    """Few pixels, few frames and no arrangement of the parts: what pictures show is tested in `test_plotting.py`."""
+    with pytest.MonkeyPatch.context() as patched:
+        for module in ("canvas", "animation"):
+            patched.setattr(f"optdock.plotting.{module}.DPI", 40)
+        patched.setattr("optdock.plotting.animation._MOST_FRAMES", 8)
+        patched.setattr("matplotlib.layout_engine.ConstrainedLayoutEngine.execute", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -28,6 +28,7 @@ from optdock.model.trajectory import Trajectory
 from optdock.plotting import save_plan_picture
 from optdock.reports.report import failed_plan_file
 
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 SCENARIO = """\
 format: optdock-scenario/1
 obstacles:
@@ -51,14 +52,6 @@ NEAR = SCENARIO.replace("pose: [1.0, 0.2, 0.4]", "pose: [2.8, 1.0, 0.0]")
 @pytest.fixture(autouse=True)
 def in_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture(autouse=True)
-def coarse_pictures(monkeypatch):
-    """Few pixels and few frames: what the pictures show is tested in `test_plotting.py`."""
-    for module in ("canvas", "animation"):
-        monkeypatch.setattr(f"optdock.plotting.{module}.DPI", 40)
-    monkeypatch.setattr("optdock.plotting.animation._MOST_FRAMES", 8)
 
 
 def write(text=SCENARIO, old="", new="", name="bay.yaml"):

@@ -128,8 +128,9 @@ BODIES = {
 }
 
 
-def some_rocks(name, body, seed=3):
-    rng = np.random.default_rng(seed)
+@functools.cache
+def some_rocks(name, of_body):
+    rng, body = np.random.default_rng(3), BODIES[of_body]
     if name == "touching":  # the outline of the robot at the start, beside it
         return ObstacleSet.from_polygons(
             [body.vertices + np.array(side) for side in ([body.length, 0.0], [0.0, body.width])]
@@ -173,10 +174,18 @@ def test_proofs_of_both_lanes_are_equal(name, body, rocks, relief):
     """Poses with overlaps and with contact, and for a map only some of the obstacles near the path."""
     path, robot = PATHS[name], Robot(BODIES[body], MotionLimits())
     rule = ClearanceRule(0.1, 0.0, 0.3, 0.05, at_start=0.02 if relief else None)
-    problem = DockingProblem(path.start, Dock(path.end), robot, some_rocks(rocks, BODIES[body]), rule)
+    problem = DockingProblem(path.start, Dock(path.end), robot, some_rocks(rocks, body), rule)
     for sharp in (True, False):
         proofs = both_lanes(lambda s=sharp: prove_clearance(Path(path.segments), problem, start_relief=relief, sharp=s))
         assert is_equal(*proofs)
+
+
+@functools.cache
+def rocks_beside(name, aside):
+    rng, path = np.random.default_rng(8), PATHS[name]
+    at = path.poses_at(np.linspace(0.0, path.length, 40))[:, :2]
+    places = at + (aside + 0.75) * np.array([[0.0, 1.0]]) + rng.uniform(0.0, 0.2, at.shape)
+    return ObstacleSet.from_polygons([place + np.array(obstacle(rng)) * 0.1 for place in places])
 
 
 @needs_compiler
@@ -185,10 +194,7 @@ def test_proofs_of_both_lanes_are_equal(name, body, rocks, relief):
 @pytest.mark.parametrize("name", PATHS)
 def test_quick_proofs_of_both_lanes_are_equal(name, body, aside):
     """Among obstacles that are near, farther than those evaluated first, and out of reach; without a proof in some."""
-    motion, rng = PathMotion(PATHS[name]), np.random.default_rng(8)
-    at = motion.path.poses_at(np.linspace(0.0, motion.path.length, 40))[:, :2]
-    places = at + (aside + 0.75) * np.array([[0.0, 1.0]]) + rng.uniform(0.0, 0.2, at.shape)
-    rocks = ObstacleSet.from_polygons([place + np.array(obstacle(rng)) * 0.1 for place in places])
+    motion, rocks = PathMotion(PATHS[name]), rocks_beside(name, aside)
     rule = Rule(ClearanceRule(0.1, 0.0, 0.3), 0.5, 0.0)
     world = World(BODIES[body], rocks, motion.path.end, motion.path.start, rule)
     for sharp, crop in ((True, 1.0), (False, 1.0), (True, 50.0)):
@@ -204,8 +210,7 @@ def test_quick_proofs_of_both_lanes_are_equal(name, body, aside):
 @needs_compiler
 @pytest.mark.parametrize("spoiled", ["none", "attained", "pose", "yaw", "start", "relief"])
 def test_a_round_with_numbers_that_are_none_proves_as_little_in_both_lanes(spoiled):
-    path, body = PATHS["cusps"], BODIES["two pieces"]
-    rocks = some_rocks("scattered", body)
+    path, body, rocks = PATHS["cusps"], BODIES["two pieces"], some_rocks("scattered", "two pieces")
     start, relief = (np.nan if spoiled == part else usual for part, usual in (("start", 0.2), ("relief", 0.0)))
     rule = Rule(ClearanceRule(0.1, 0.0, 0.3), start, relief)
     world, motion = World(body, rocks, path.end, path.start, rule), PathMotion(path)
@@ -228,7 +233,7 @@ def test_a_round_with_numbers_that_are_none_proves_as_little_in_both_lanes(spoil
 @pytest.mark.parametrize("rocks", ["touching", "needles", "a map", "scattered"])
 @pytest.mark.parametrize("body", BODIES)
 def test_clearances_of_both_lanes_are_equal(body, rocks, within):
-    rng, obstacles = np.random.default_rng(5), some_rocks(rocks, BODIES[body])
+    rng, obstacles = np.random.default_rng(5), some_rocks(rocks, body)
     poses = np.vstack((np.zeros((1, 3)), rng.uniform(-3.0, 3.0, (60, 3))))
     twin, native = both_lanes(lambda: compiled_clearances(poses, BODIES[body], obstacles, within))
     assert is_equal(twin, native)
@@ -242,7 +247,7 @@ def test_cells_that_are_none_are_an_error():
         cells, ends = motion_bounds.first_cells(motion, 0.08)
         with pytest.raises(IndexError):
             motion_bounds._divided_native(cells, np.array([0, cells.first.size]), 2)
-        rocks = some_rocks("scattered", BODIES["convex"])
+        rocks = some_rocks("scattered", "convex")
         world = World(BODIES["convex"], rocks, Pose2(0, 0, 0), Pose2(0, 0, 0), Rule(ClearanceRule(), 0.1, 0.0))
         block = cells._replace(segment=cells.segment + 9), ends, motion.nodes(ends.segment, ends.u)
         with pytest.raises(IndexError):

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from optdock.cli import app
 
+pytestmark = pytest.mark.usefixtures("coarse_pictures")
 SCENARIO = """format: optdock-scenario/1
 robot:
   footprint: [[0.15, 0.15], [-0.15, 0.15], [-0.15, -0.15], [0.15, -0.15]]

@@ -177,7 +177,7 @@ COORDINATE = st.one_of(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.lists(st.lists(st.tuples(COORDINATE, COORDINATE), min_size=1, max_size=6), min_size=1, max_size=5))
 def test_polygons_checked_together_are_those_checked_one_by_one(polygons):
     for polygon, found in zip(polygons, strictly_convex(polygons), strict=True):

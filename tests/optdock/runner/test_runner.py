@@ -218,10 +218,15 @@ def test_a_killed_dask_worker_loses_nothing(cluster):
     assert [one.value[0] for one in found] == list(range(60))
 
 
+def test_workers_with_another_version_are_refused(cluster, monkeypatch):
+    monkeypatch.setattr("optdock.runner.workers.__version__", "9.9")
+    with pytest.raises(InvalidValue, match=r"not all workers have optdock 9\.9: tcp://127\.0\.0\.1:\d+: 0"):
+        cluster.workers().__enter__()
+
+
 def test_a_case_that_kills_dask_workers_is_an_error(cluster, tmp_path):
-    cluster.add_workers(2)
+    """It takes the last two workers, so this is the last test with them."""
     with cluster.workers() as workers:
-        workers._client.wait_for_workers(4)
         case = Case("deadly", (2, str(tmp_path), 99))
         (found,) = run_cases(functions.killing, [case], workers=workers)
     assert found.error.startswith("KilledWorker: ")
@@ -263,12 +268,6 @@ def test_counted_plans_on_a_shared_map_do_not_depend_on_workers_or_order(pair):
     assert {bool(error) for _, _, error in forward} == {True, False}
     backward = run_cases(functions.planned, reversed(starts), workers=pair, shared=(problem,))
     assert rows(backward) == forward[::-1]
-
-
-def test_workers_with_another_version_are_refused(cluster, monkeypatch):
-    monkeypatch.setattr("optdock.runner.workers.__version__", "9.9")
-    with pytest.raises(InvalidValue, match=r"not all workers have optdock 9\.9: tcp://127\.0\.0\.1:\d+: 0"):
-        cluster.workers().__enter__()
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):

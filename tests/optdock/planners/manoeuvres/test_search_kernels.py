@@ -1,5 +1,6 @@
 """The kernels of the search: equal to the distance field and the exact distances by NumPy."""
 
+import functools
 import shutil
 
 import numpy as np
@@ -131,13 +132,19 @@ def words_from(seed, count=30):
     return Arcs(poses_around(seed, count), lengths, draw.choice([0.0, 1.25, -1.25], (count, 5)))
 
 
+@functools.cache
+def space_of(lane, body):
+    """A space for the tests of one lane: the first of them computes its tiles."""
+    return space_among(rocks(1), body)
+
+
 @pytest.mark.parametrize("effort", EFFORTS, ids=["strict", "margin", "relief"])
 @pytest.mark.parametrize("body", BODIES)
 def test_free_poses_arcs_and_sequences_of_both_lanes_are_equal(body, effort):
     limits, words, stations = (effort.margin, effort.start_relief), words_from(1), np.array([0.1, 0.25, 0.4])
     found = []
     for lane in LANES:
-        space = space_among(rocks(1), body)
+        space = space_of(lane, body)
         tree = ArcTree(np.zeros(3), space.problem.robot, -1)
         signs = np.tile([1.0, 0.0, -1.0], 16)
         nodes = np.column_stack((poses_around(9, 48), np.linspace(0.0, 2.0, 48), signs, np.zeros((48, 2))))
