@@ -160,9 +160,9 @@ class _Block(NamedTuple):
 def _block(spans: int, cells: int) -> _Block:
     """Return the arrays of a gear."""
     nodes, steps = np.arange(cells + 1) / cells, np.diff(np.eye(spans + 1), axis=0)
-    gauss = ((np.arange(cells)[:, None] + _GAUSS) / cells).ravel()
-    at_nodes, at_gauss = _hat_integrals(spans, nodes), _hat_integrals(spans, gauss)
-    at_middles = _hat_integrals(spans, (np.arange(cells) + 0.5) / cells)
+    gauss, middles = ((np.arange(cells)[:, None] + _GAUSS) / cells).ravel(), (np.arange(cells) + 0.5) / cells
+    at_all = _hat_integrals(spans, np.concatenate((nodes, gauss, middles)))
+    at_nodes, at_gauss, at_middles = at_all[: cells + 1], at_all[cells + 1 : -cells], at_all[-cells:]
     hats = np.maximum(0.0, 1.0 - np.abs(spans * nodes[:, None] - np.arange(spans + 1)))
     stiffness = spans * (steps.T @ steps)
     return frozen(_Block(nodes, at_nodes, at_gauss, at_middles, hats, spans * steps, _mass(spans), stiffness))
@@ -170,8 +170,9 @@ def _block(spans: int, cells: int) -> _Block:
 
 def _hat_integrals(spans: int, u: FloatArray) -> FloatArray:
     """Return the integrals of the hat functions from 0 to u. Shape (len(u), spans + 1)."""
-    t = np.clip(spans * u[:, None] - np.arange(spans + 1), -1.0, 1.0)
-    area = np.where(t < 0.0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2)
+    t = np.minimum(np.maximum(spans * u[:, None] - np.arange(spans + 1), -1.0), 1.0)
+    half = 0.5 * (1.0 - np.abs(t)) ** 2
+    area = np.where(t < 0.0, half, 1.0 - half)
     area[:, 0] -= 0.5
     integrals: FloatArray = area / spans
     return integrals

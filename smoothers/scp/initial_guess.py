@@ -393,6 +393,8 @@ def track(
         if is_late():
             break
         around = around or linearized_tracking(least_squares, current)
+        if is_late():
+            break
         step = solve_step(nlp, around, pool, trust_region, settings.proximal, penalties)
         if step is None:
             break

@@ -29,7 +29,7 @@ from smoothers.scp.cost import CostModel, InputNodes
 from smoothers.scp.packed_program import packed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.limits import MotionLimits
@@ -125,13 +125,15 @@ class Formulation(NamedTuple):
     interval: float
 
 
-def formulate(
+def formulate(  # noqa: PLR0913 - a problem, its scene, choices and a clock
     path: Path,
     problem: DockingProblem,
     scene: Scene,
     chosen: Formulation,
     lengths: FloatArray | None,
     settings: Settings,
+    *,
+    look: Callable[[], None] = lambda: None,
 ) -> NonlinearProgram:
     """Return the nonlinear program that smooths `path` for `problem`.
 
@@ -142,6 +144,7 @@ def formulate(
         chosen: Weights and resolution.
         lengths: First gear lengths, Shape (num_gears,) [m]; None means the lengths of the input.
         settings: Constants of the method.
+        look: Checks the deadline; called after the basis, which takes a millisecond if its shape is new.
     """
     limits, straight = problem.robot.limits, problem.dock.final_straight
     traced_lengths = free_lengths(path, straight)
@@ -149,6 +152,7 @@ def formulate(
     scales = _reference_scales(limits, settings.bounds)
     longest = settings.resolution.longest_span / scales[0]
     basis = basis_for(shape_for(lengths, chosen, longest, settings.resolution), settings.resolution.fit_smoothing)
+    look()
     start = problem.start
     yaw = start.yaw + 2.0 * math.pi * round((path.start.yaw - start.yaw) / (2.0 * math.pi))
     signs = np.array([float(segment.direction) for segment in path.segments])

@@ -397,8 +397,10 @@ class Solver:
             refusal = refuse_terms_at_ends(path, problem, call.terms, call.after if is_last else None)
         if refusal is not None:
             raise refusal.error()
+        self._raise_if_late()
         positions = enclosing_positions(path, resolution.input_samples)
         scene = scene_around(whole, positions, start_clearance, self.settings.collision)
+        self._raise_if_late()
         many = len(scene.obstacles.vertices) > resolution.many_obstacles
         return self._formulated(call, scene, resolution.coarser_among_many if many else 1.0)
 
@@ -409,7 +411,7 @@ class Solver:
         chosen = Formulation(weights, spans, coarser * interval)
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
-        nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
+        nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings, look=self._raise_if_late)
         nlp = _with_terms(_with_view(nlp, call, self.settings.view), call, self.settings.view)
         self.times.expect(nlp, self.pool.pace if clock_name() != "counted" else 1.0)
         return nlp, InitialGuesses(nlp, earlier, self.pool, self.times.no_more_iterations)
