@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly, vector
 from optdock.geometry.checked import exactly, finite_number
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Pose2, check_range
 from optdock.kernels import Kernel, twin_of
 
@@ -112,7 +112,7 @@ class ClothoidSpline(FrozenArrays):
         """Return the poses at arc lengths `s`, Shape (n,) [m], clipped to the curve. Shape (n, 3)."""
         return _poses_chosen(vector(s), self.table, self.sign)
 
-    @functools.cached_property
+    @cached_property
     def curvature_rates(self) -> FloatArray:
         """Curvature rate d curvature / ds between the knots, Shape (n - 1,) [1/m^2]."""
         curvature, knots = self.curvature, self.knots
@@ -135,7 +135,7 @@ class ClothoidSpline(FrozenArrays):
         start = self.start if begin == 0.0 else Pose2.from_sequence(self.poses_at(begin)[0])
         return ClothoidSpline(start, knots - begin, self.curvature_at(knots), self.sign)
 
-    @functools.cached_property
+    @cached_property
     def end(self) -> Pose2:
         """Pose at s = length."""
         return Pose2.from_sequence(self.table[-1, 1:4])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.checked import finite_number, positive
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.polygon import convex_cover, convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import displacement, normalize_angle
 from optdock.geometry.separation import ConvexBody
@@ -107,17 +107,17 @@ class Footprint(FrozenArrays):
         """Return the polygon with every vertex moved by sign(x) * padding and sign(y) * padding [m], as in Nav2."""
         return Footprint(self.vertices + padding * np.sign(self.vertices))
 
-    @functools.cached_property
+    @cached_property
     def length(self) -> float:
         """Extent along x [m]."""
         return float(np.ptp(self.vertices[:, 0]))
 
-    @functools.cached_property
+    @cached_property
     def width(self) -> float:
         """Extent along y [m]."""
         return float(np.ptp(self.vertices[:, 1]))
 
-    @functools.cached_property
+    @cached_property
     def circumscribed_radius(self) -> float:
         """Largest distance [m] of a point of the outline from the origin."""
         return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
@@ -127,7 +127,7 @@ class Footprint(FrozenArrays):
         turn = normalize_angle(pose.yaw - reference.yaw)
         return float(displacement(pose.distance_to(reference), turn, self.circumscribed_radius))
 
-    @functools.cached_property
+    @cached_property
     def inscribed_radius(self) -> float:
         """Smallest distance [m] of a point of the outline from the origin."""
         start, edge = self.vertices, np.roll(self.vertices, -1, axis=0) - self.vertices

@@ -11,6 +11,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon, strictly_convex
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
@@ -85,7 +86,7 @@ class ObstacleSet(FrozenArrays):
         vars(self).update(names=names, **{name: readonly(value) for name, value in arrays.items()})
         return self
 
-    @functools.cached_property
+    @cached_property
     def digest(self) -> str:
         """Digest of the polygons in their order."""
         return digest(self.vertices)
@@ -214,7 +215,7 @@ class ObstacleSet(FrozenArrays):
         """Return the polygons of `rows`, in this order, in the form required by `separation`."""
         return ConvexPieces(*self._columns[:, :, rows])
 
-    @functools.cached_property
+    @cached_property
     def _columns(self) -> FloatArray:
         """Vertices, normals and offsets with the pieces along the last axis, Shape (5, k, m)."""
         parts = (self.vertices[..., 0], self.vertices[..., 1], self.normals[..., 0], self.normals[..., 1], self.offsets)

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.deadline import Deadline, OutOfTime, never_late
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.impossibility.connectivity_graph import (
@@ -152,24 +152,24 @@ class _Search:
         self.start_clearance = end_clearances(problem).start
         self.known: dict[tuple[int, int, int], Tile] = {}
 
-    @functools.cached_property
+    @cached_property
     def graph(self) -> ConnectivityGraph:
         """Graph of the present tiles, at first one tile."""
         graph = ConnectivityGraph(self.grid, self.ends, by_certainty(self.grid))
         graph.add([Tile(-self.grid.above, 0, 0)])
         return graph
 
-    @functools.cached_property
+    @cached_property
     def obstacles(self) -> ObstacleLattice:
         """Obstacles relative to the grid."""
         return ObstacleLattice(self.problem, self.grid.origin, self._look)
 
-    @functools.cached_property
+    @cached_property
     def ends(self) -> list[FloatArray]:
         """Poses of start and goal relative to the grid, Shape (3,) each [m, m, rad]."""
         return [_middle(pose, self.body.centre, self.grid.origin) for pose in (self.problem.start, self.problem.goal)]
 
-    @functools.cached_property
+    @cached_property
     def grid(self) -> CellGrid:
         """Grid of tiles that covers start, goal and the obstacles that are near enough to be relevant."""
         cell = _CELL * float(self.body.discs[:, 2].max())

@@ -6,7 +6,6 @@ This is the only implementation of this motion in the library: `constant_jerk` e
 
 from __future__ import annotations
 
-import functools
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FloatArray, FrozenArrays, IntArray, frozen_array, readonly
 from optdock.geometry.checked import finite_number
+from optdock.geometry.lazy import cached_property
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -151,7 +151,7 @@ class TimeLaw(FrozenArrays):
     def __repr__(self) -> str:
         return f"<TimeLaw {self.duration:.3f} s in {self.durations.size} phases of constant jerk>"
 
-    @functools.cached_property
+    @cached_property
     def duration(self) -> float:
         """Total time [s]."""
         return float(self.times[-1])
@@ -170,7 +170,7 @@ class TimeLaw(FrozenArrays):
         phase = bisect_right(begins, t, 1) - 1
         return constant_jerk(t - begins[phase], *states[phase], jerks[phase])
 
-    @functools.cached_property
+    @cached_property
     def _phases(self) -> tuple[list[float], list[tuple[float, float, float]], list[float]]:
         """Begin, state at the begin, and jerk of every phase."""
         states = [(s, v, a) for s, v, a in self.states[:-1].tolist()]

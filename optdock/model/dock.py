@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import exactly, finite_number, member, non_negative, positive
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.limits import SpeedZone
 
@@ -124,7 +124,7 @@ class Dock:
         found: FloatArray = transform_points(self.pose.as_array()[None], np.array([self.marker]))[0, 0]
         return found
 
-    @functools.cached_property
+    @cached_property
     def approach(self) -> SpeedZone:
         """The speed zone at the end of the path."""
         return SpeedZone(self.approach_speed, self.approach_distance)

@@ -6,7 +6,6 @@ and their reference, and the plots use the names, units and quantities of this t
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -17,6 +16,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import non_negative, number
+from optdock.geometry.lazy import cached_property
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -219,7 +219,7 @@ class MotionLimits:
             tightest = math.tan(self.max_steering_angle) / self.wheelbase
             vars(self).update(max_curvature=min(self.max_curvature, tightest))
 
-    @functools.cached_property
+    @cached_property
     def turning(self) -> TurnLimits:
         """Limits of a turn in place, in which the wheels run in opposite directions at track_width / 2 * yaw rate.
 

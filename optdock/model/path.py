@@ -6,7 +6,6 @@ Curvature is d yaw / d s, positive if the yaw increases along the travel. A path
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import numpy as np
 from optdock.errors import InvalidPath
 from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly, vector
 from optdock.geometry.checked import sampling_step
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.model.segments import (
     SAME_POSITION,
@@ -138,7 +138,7 @@ class Path(FrozenArrays):
         frame = f" in {self.frame!r}" if self.frame else ""
         return f"<Path {self.driven:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{frame}>"
 
-    @functools.cached_property
+    @cached_property
     def length(self) -> float:
         """Arc length [m] over all gears and turns in place, which is the largest `s`."""
         return float(self.segment_starts[-1])
@@ -149,12 +149,12 @@ class Path(FrozenArrays):
         turned = sum(segment.length for segment in self.segments if isinstance(segment, TurnSegment))
         return self.length - turned
 
-    @functools.cached_property
+    @cached_property
     def turns(self) -> bool:
         """Whether the path contains a turn in place."""
         return any(isinstance(segment, TurnSegment) for segment in self.segments)
 
-    @functools.cached_property
+    @cached_property
     def gear_lengths(self) -> tuple[float, ...]:
         """Lengths of the segments that are driven, negative in reverse, in driving order [m]."""
         return tuple([int(one.direction) * one.length for one in self.segments if not isinstance(one, TurnSegment)])
@@ -181,17 +181,17 @@ class Path(FrozenArrays):
         """Return the path transformed by a rigid motion of the plane: every pose p becomes `move @ p`."""
         return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
 
-    @functools.cached_property
+    @cached_property
     def cusps(self) -> tuple[float, ...]:
         """Arc lengths [m] at which the robot rests: gear changes, and the two ends of turns in place."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
-    @functools.cached_property
+    @cached_property
     def start(self) -> Pose2:
         """Pose at s = 0; if the path begins with a turn in place, the pose before the turn."""
         return first_pose(self.segments[0])
 
-    @functools.cached_property
+    @cached_property
     def end(self) -> Pose2:
         """Pose at s = length."""
         last = self.segments[-1]
@@ -199,7 +199,7 @@ class Path(FrozenArrays):
             last.poses[-1] if isinstance(last, PolylineSegment) else last.poses_at(last.length)[0]
         )
 
-    @functools.cached_property
+    @cached_property
     def digest(self) -> str:
         """Digest of the exact curves, which is equal for equal paths."""
         return digest(*(part for segment in self.segments for part in _definition(segment)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,6 +12,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, digest
 from optdock.geometry.checked import exactly, finite_number, instance
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.obstacles import ObstacleSet, without_repeated
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
@@ -265,7 +265,7 @@ class DockingProblem(FrozenArrays):
         """
         return self.robot.limits.start_wait(path) if self.start_curvature is None else 0.0
 
-    @functools.cached_property
+    @cached_property
     def path_clearance(self) -> ClearanceRule:
         """Clearance rule of the path, which ensures `clearance` for every pose in the robot's tracking tube."""
         wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
@@ -296,7 +296,7 @@ class DockingProblem(FrozenArrays):
         widths: FloatArray = with_tube - without
         return widths
 
-    @functools.cached_property
+    @cached_property
     def required_view(self) -> RequiredView | None:
         """Marker and the part of the path on which it must be visible; None if visibility is not required."""
         dock, camera, marker = self.dock, self.robot.camera, self.dock.marker_in_world
@@ -353,7 +353,7 @@ class DockingProblem(FrozenArrays):
         more = mapped_obstacles(costmap.frozen(), unknown_is_obstacle=self.unknown_is_obstacle)
         return dataclasses.replace(self, obstacles=self.obstacles + more)
 
-    @functools.cached_property
+    @cached_property
     def fingerprint(self) -> ProblemFingerprint:
         """Digests of the data on which a certificate for this problem depends."""
         dock, rule = self.dock, self.path_clearance

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -12,6 +11,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.arrays import digest
 from optdock.geometry.checked import exactly, instance, member, non_negative, number
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Twist2, displacement
 from optdock.model.camera import Camera
 from optdock.model.limits import STEERING_UNITS, MotionLimits
@@ -98,7 +98,7 @@ class Robot:
             exactly(Camera, self.camera, "robot.camera")
         check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
 
-    @functools.cached_property
+    @cached_property
     def fingerprint(self) -> RobotFingerprint:
         """Digests by which a certificate identifies the robot."""
         # Unused features are not digested, so certificates stay valid when optdock gains new limits.

@@ -33,6 +33,7 @@ from optdock.errors import (
 )
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import (
@@ -373,7 +374,7 @@ class _Portfolio:
     def __post_init__(self) -> None:
         self.problem, self.deadline = self.work.problem, self.work.deadline
 
-    @functools.cached_property
+    @cached_property
     def impossibility(self) -> ImpossibilitySearch:
         """Search for a proof of impossibility, which continues after interruptions."""
         return ImpossibilitySearch(self.problem)

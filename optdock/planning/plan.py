@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from optdock.errors import CertificationFailed, InvalidFile, MissingExtra, OptdockError
 from optdock.geometry.checked import exactly, instance
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.obstacles import in_words
 from optdock.io.plan_file import (
     CERTIFIED,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Pose2
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import SpeedZone
@@ -77,7 +77,7 @@ class BranchPoint:
     acceleration: float
     gear: int
 
-    @functools.cached_property
+    @cached_property
     def rest(self) -> Path | None:
         """The remaining path from the pose of the robot, or None if no path remains."""
         return None if self.is_at_the_end else self.path.piece(self.s)
@@ -91,7 +91,7 @@ class BranchPoint:
         """Whether more gears, or more than a given length [m], are ahead."""
         return self.path.length - self.s > straight or any(cusp > self.s + NO_WAY for cusp in self.path.cusps)
 
-    @functools.cached_property
+    @cached_property
     def pose(self) -> Pose2:
         """Pose of the robot."""
         return self.path.end if self.rest is None else self.rest.start
@@ -125,7 +125,7 @@ class RunningDrive:
         if not self.is_on_the_path and (state.is_filtered or not self.is_in_tube(self.reference)):
             self.move_ahead()
 
-    @functools.cached_property
+    @cached_property
     def path(self) -> Path:
         """The running path, transformed by `moved`."""
         path, moved = self.plan.path, self.state.moved
@@ -137,12 +137,12 @@ class RunningDrive:
         self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
         self.now = self.branch_point(0.0)
 
-    @functools.cached_property
+    @cached_property
     def reference(self) -> Pose2:
         """Pose on the running trajectory at the present time of its clock."""
         return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
 
-    @functools.cached_property
+    @cached_property
     def is_on_the_path(self) -> bool:
         """Whether the robot is at the reference pose."""
         return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE

@@ -8,13 +8,13 @@ number, and p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.clothoid import subdivided
+from optdock.geometry.lazy import cached_property
 from optdock.kernels import Kernel, twin_of
 from optdock.model.path import ClothoidSegment, PolylineSegment, TurnSegment
 
@@ -142,7 +142,7 @@ class PathMotion:
 
     path: Path
 
-    @functools.cached_property
+    @cached_property
     def pieces(self) -> Pieces | None:
         """The segments for kernels; None if one of them is a polyline."""
         segments = self.path.segments

@@ -24,7 +24,7 @@ from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.constant_jerk import border_states, braking_phases
 from optdock.model.path import PolylineSegment
-from smoothers.scp.basis import basis_for
+from smoothers.scp.basis import basis_for, blocks_of
 from smoothers.scp.cost import CostModel, InputNodes
 from smoothers.scp.packed_program import packed
 
@@ -144,14 +144,17 @@ def formulate(  # noqa: PLR0913 - a problem, its scene, choices and a clock
         chosen: Weights and resolution.
         lengths: First gear lengths, Shape (num_gears,) [m]; None means the lengths of the input.
         settings: Constants of the method.
-        look: Checks the deadline; called after the basis, which takes a millisecond if its shape is new.
+        look: Checks the deadline; called twice during the basis, which takes a millisecond if its shape is new.
     """
     limits, straight = problem.robot.limits, problem.dock.final_straight
     traced_lengths = free_lengths(path, straight)
     lengths = traced_lengths if lengths is None else lengths
     scales = _reference_scales(limits, settings.bounds)
     longest = settings.resolution.longest_span / scales[0]
-    basis = basis_for(shape_for(lengths, chosen, longest, settings.resolution), settings.resolution.fit_smoothing)
+    shape = shape_for(lengths, chosen, longest, settings.resolution)
+    blocks_of(shape)
+    look()
+    basis = basis_for(shape, settings.resolution.fit_smoothing)
     look()
     start = problem.start
     yaw = start.yaw + 2.0 * math.pi * round((path.start.yaw - start.yaw) / (2.0 * math.pi))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import transform_points
 from optdock.kernels import Kernel, twin_of
 
@@ -106,7 +106,7 @@ class DistanceField:
         self.count = int(progress[1])
         return found
 
-    @functools.cached_property
+    @cached_property
     def _packed(self) -> KernelArrays:
         """Arrays of the kernels from `shape` to `high`; see `optdock_add_tile` in C."""
         rocks = self.obstacles
@@ -115,7 +115,7 @@ class DistanceField:
         parts = shape, grid, rocks.vertices, rocks.normals, rocks.offsets, rocks.lower, rocks.upper
         return tuple([(part, part.size) for part in parts])
 
-    @functools.cached_property
+    @cached_property
     def is_box(self) -> BoolArray:
         """Mask of the pieces that are axis-aligned rectangles. Shape (m,)."""
         x, y = self.obstacles.vertices[..., 0], self.obstacles.vertices[..., 1]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.geometry.lazy import cached_property
 from optdock.kernels import Kernel, twin_of
 from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from optdock.planners.manoeuvres.disc_routes import Wavefront
@@ -115,7 +116,7 @@ class FreeSpace:
         """Return the wavefront of a disc, by default the inscribed disc, from a position, Shape (2,) [m]."""
         return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
 
-    @functools.cached_property
+    @cached_property
     def _coarse(self) -> DistanceField:
         reach = max(2.0 * self.width, 1.25 * self._reach)
         return DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
@@ -165,7 +166,7 @@ class FreeSpace:
         while progress[0] < sizes[0]:
             self.field.call(kernel, given, bounds, parts, progress)
 
-    @functools.cached_property
+    @cached_property
     def _packed(self) -> KernelArrays:
         """Return the arrays from `sizes` to `work` of the kernels; see `SPACE_PARAMETERS` in C."""
         rule, robot, rocks = self.problem.path_clearance, packed_footprint(self.footprint), self.field.obstacles

@@ -6,7 +6,6 @@ Each stage joins more poses near the start to more poses near the goal.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import heapq
 import itertools
 import math
@@ -17,6 +16,7 @@ from pydantic import Field
 
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.arrays import readonly
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import Pose2
 from optdock.planners.manoeuvres.connections import (
     TreeNodes,
@@ -191,7 +191,7 @@ class Stages:
         self.radius, self._slack = turning_radius(problem), slack
         self._known: list[_Way] = []
 
-    @functools.cached_property
+    @cached_property
     def _efforts(self) -> tuple[Effort, ...]:
         problem, margin = self.problem, 0.02 * self.problem.robot.footprint.width
         eased, sharp = self._slack * self.radius, self.radius
@@ -236,12 +236,12 @@ class Stages:
             if least_price(guess.path, self.problem) < self._better_than():
                 yield guess
 
-    @functools.cached_property
+    @cached_property
     def space(self) -> FreeSpace:
         """Free space for collision checks."""
         return FreeSpace(self.problem, self._poll)
 
-    @functools.cached_property
+    @cached_property
     def trees(self) -> EndTrees:
         """Trees of straight lines and arcs at the start and at the dock."""
         return EndTrees(self.problem, self.space)
@@ -250,11 +250,11 @@ class Stages:
         """Return the free straight length [m] in front of the dock for entering the dock in each gear."""
         return self.trees.straight_runs(self._efforts[-1])
 
-    @functools.cached_property
+    @cached_property
     def _ends_cost(self) -> float:
         return ends_cost(self.problem)
 
-    @functools.cached_property
+    @cached_property
     def _cheapest_word(self) -> float:
         """The least price [s] of a word to the final straight, without regard to obstacles."""
         straights = self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
@@ -282,7 +282,7 @@ class Stages:
                     known.add(path.digest)
                     yield Guess(path, "turn and drive")
 
-    @functools.cached_property
+    @cached_property
     def _staging(self) -> TreeNodes:
         return self.trees.staging(self._efforts[0])
 
@@ -316,7 +316,7 @@ class Stages:
             self._wave_for_routes.lengths(goal)[0] < longest or self._wave_from_start.lengths(goal)[0] < longest
         )
 
-    @functools.cached_property
+    @cached_property
     def _wave_for_routes(self) -> Wavefront:
         return self.space.wavefront(self.problem.start.as_array()[:2], self._route_radius)
 
@@ -324,7 +324,7 @@ class Stages:
     def _route_radius(self) -> float:
         return 0.5 * self.space.footprint.width + self.problem.path_clearance.required
 
-    @functools.cached_property
+    @cached_property
     def _wave_from_start(self) -> Wavefront:
         return self.space.wavefront(self.problem.start.as_array()[:2])
 
@@ -439,7 +439,7 @@ class _Way:
     def __init__(self, arcs: Arcs) -> None:
         self._arcs = arcs
 
-    @functools.cached_property
+    @cached_property
     def places(self) -> FloatArray:
         """Shape (17, 2) [m]."""
         return self._arcs.poses_at_shares(_PLACES)[0, :, :2]
