@@ -31,6 +31,7 @@ from optdock.errors import (
     SmootherTimedOut,
     TimedOut,
 )
+from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.lazy import cached_property
@@ -96,7 +97,8 @@ _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 # If it overlaps them along less than this many robot lengths, it is first smoothed for this time [s]. Of 150 such
 # guesses of the dock planner 43 of the 66 shorter ones could be smoothed, most of them in 20 to 45 ms, and 6 of the
 # others.
-_PUT_OFF, _SAMPLES, _SHORTLY, _BRIEFLY = 0.2, 24, 2.5, 0.045
+_PUT_OFF, _SHORTLY, _BRIEFLY = 0.2, 2.5, 0.045
+_SAMPLES = readonly(np.linspace(0.0, 1.0, 24))  # shares of the length of a guess at which its poses are sampled
 # Shares of the remaining time for a proof of impossibility: when a planner pauses before a wider search, and the share
 # that the last planner must leave unused.
 _EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
@@ -595,9 +597,9 @@ class _Portfolio:
 
     def _overlapping(self, path: Path) -> float:
         """Return the share of the sampled poses of a guess that lie in obstacles."""
-        poses = path.poses_at(np.linspace(0.0, path.length, _SAMPLES))
+        poses = path.poses_at(path.length * _SAMPLES)
         clearances, _ = compiled_clearances(poses, self.problem.robot.footprint, self.problem.all_obstacles, within=0.1)
-        return float(np.mean(clearances < 0.0))
+        return float((clearances < 0.0).sum()) / _SAMPLES.size
 
     def _fail(self, failure: Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
         self._check_straight()

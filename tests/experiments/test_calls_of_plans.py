@@ -12,8 +12,9 @@ from optdock.deadline import budget_clock
 from optdock.kernels import using_kernels
 from optdock.planning.pipeline import plan_dock, warm_up
 
+MEDIAN = 3_000
 # 1.1 times the calls that were reached, so that work done twice is noticed.
-MEAN, MOST = 4_850, 13_100
+MEAN, MOST = 3_680, 9_750
 
 
 def calls_of(problem):
@@ -38,6 +39,7 @@ def calls_of(problem):
 def test_an_easy_plan_makes_few_calls():
     warm_up()
     with using_kernels("native"), budget_clock("cpu"):
-        calls = [calls_of(instance(family, seed).problem) for family in EASY for seed in range(2)]
+        calls = [calls_of(instance(family, seed).problem) for family in EASY for seed in range(5)]
+    assert np.median(calls) <= MEDIAN
     assert np.mean(calls) <= MEAN
     assert max(calls) <= MOST
