@@ -14,10 +14,10 @@ int64_t optdock_project_and_roll_out(int64_t gears, int64_t knots, int64_t nodes
                                      const double *packed, const int64_t *divisions, const double *given, double *out);
 int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int64_t k, int64_t nodes,
                                 int64_t intervals, int64_t few, int64_t nearest, int64_t nearest_close,
-                                int64_t together, int64_t lowest_vertices, int64_t facing_edges, double radius, double near,
-                                double close, double lowest_slope, const double *scene_arrays, const double *rollout,
-                                const double *signs, const int64_t *left, int64_t *pairs, double *out, double *work,
-                                int64_t *indices);
+                                int64_t together, int64_t lowest_vertices, int64_t facing_edges, double radius,
+                                double near, double close, double lowest_slope, const double *scene_arrays,
+                                const double *rollout, const double *signs, const int64_t *left, int64_t *pairs,
+                                double *out, double *work, int64_t *indices);
 int64_t optdock_sensitivity(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, const double *packed,
                             const int64_t *divisions, const double *z, const double *moved, double *out, double *work);
 int64_t optdock_separating_plane_rows(int64_t p, int64_t chosen, int64_t v2, int64_t k, int64_t nodes,
@@ -34,8 +34,8 @@ int64_t optdock_minimizer(int64_t n, int64_t m, int64_t leading, int64_t guessed
 typedef struct {
     int64_t gears, knots, nodes, intervals, parts, v, obstacles, k;
     int64_t few, nearest, nearest_close, together, lowest_vertices, facing_edges; /* see `CollisionSettings` */
-    int64_t few_planes, thins, discs_per_node, discs;                  /* discs: most of a part */
-    int64_t most_steps, alternations, zones, trusted, is_limited, most; /* most: rows of clearance */
+    int64_t few_planes, thins, discs_per_node, discs;                             /* discs: most of a part */
+    int64_t most_steps, alternations, zones, trusted, is_limited, most;           /* most: rows of clearance */
 } Counts;
 
 /* The first numbers of `PackedProgram.numbers`, then the arrays of `Program` that are doubles. */
@@ -220,8 +220,9 @@ int64_t optdock_evaluate(int64_t has_before, const int64_t *counts, const double
     }
     int64_t count = optdock_clearance_along(p.n.parts, p.n.v, p.n.obstacles, p.n.k, nodes, p.n.intervals, p.n.few,
                                             p.n.nearest, p.n.nearest_close, p.n.together, p.n.lowest_vertices,
-                                            p.n.facing_edges, p.is.radius, reach + p.is.required, p.is.close, p.is.lowest_slope, scene,
-                                            to.rollout, p.signs, p.left, pairs, to.required, work, indices);
+                                            p.n.facing_edges, p.is.radius, reach + p.is.required, p.is.close,
+                                            p.is.lowest_slope, scene, to.rollout, p.signs, p.left, pairs, to.required,
+                                            work, indices);
     const double *margin = to.table + (6 * p.n.v + 2 * p.n.k + 3) * count;
     const int64_t *interval = pairs + nodes;
     for (int64_t i = 0; i < p.n.zones; i++)

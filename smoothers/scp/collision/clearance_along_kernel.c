@@ -537,17 +537,18 @@ static void write_pair(Counts n, const Scene *scene, const Motion *motion, const
  * Return p, the number of pairs. */
 int64_t optdock_clearance_along(int64_t parts, int64_t v, int64_t obstacles, int64_t k, int64_t nodes,
                                 int64_t intervals, int64_t few, int64_t nearest, int64_t nearest_close,
-                                int64_t together, int64_t lowest_vertices, int64_t facing_edges, double radius, double near,
-                                double close, double lowest_slope, const double *scene_arrays, const double *rollout,
-                                const double *signs, const int64_t *left, int64_t *pairs, double *out, double *work,
-                                int64_t *indices)
+                                int64_t together, int64_t lowest_vertices, int64_t facing_edges, double radius,
+                                double near, double close, double lowest_slope, const double *scene_arrays,
+                                const double *rollout, const double *signs, const int64_t *left, int64_t *pairs,
+                                double *out, double *work, int64_t *indices)
 {
     Counts n = {parts, v, obstacles, k, nodes, intervals};
     const double *a = scene_arrays, *b = a + parts * (5 * v + 4), *rate = rollout + 4 * nodes;
     const Rule *rule = (const Rule *)(b + obstacles * (4 * k + 4));
     Scene scene = {a, a + 2 * parts * v, a + 4 * parts * v, a + 5 * parts * v, a + parts * (5 * v + 2),
                    b, b + 2 * obstacles * k, b + 4 * obstacles * k, b + obstacles * (4 * k + 2),
-                   radius, near, close, few, nearest, nearest_close, together, lowest_vertices, facing_edges, lowest_slope};
+                   radius, near, close, few, nearest, nearest_close, together, lowest_vertices, facing_edges,
+                   lowest_slope};
     double *cosine = work, *sine = work + nodes;
     Motion motion = {rollout, cosine, sine, rollout + 3 * nodes, out, out + 3 * nodes, rate + intervals, rate, signs,
                      pairs, left};
