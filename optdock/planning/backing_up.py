@@ -66,7 +66,7 @@ def backed_up(joint: BranchPoint, problem: DockingProblem, least: float) -> Path
     if not is_room or not isinstance(last, ClothoidSegment):
         return None
     before = path.piece(joint.s, stop).segments if stop > joint.s else ()
-    backwards = _backwards(last.spline.piece(back - first, stop - first))
+    backwards = _backwards(last.spline.piece(back - first, min(stop - first, last.length)))  # apart from rounding
     return Path((*before, ClothoidSegment(backwards), *path.piece(back).segments), path.frame)
 
 

@@ -12,11 +12,12 @@ import pytest
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
 from optdock.model.robot import Drive
 from optdock.planning.backing_up import backed_up, transition_length
 from optdock.planning.deformation import deformed
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan
-from optdock.planning.running_drive import RunningDrive
+from optdock.planning.running_drive import BranchPoint, RunningDrive
 from tests.optdock.test_replanning import BUDGET, LEAD, assert_continuous, assert_lawful, moved, running
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)
@@ -52,6 +53,27 @@ def test_guess_lies_on_the_running_path_and_leaves_room_for_braking(sign, before
     ends = [segment.poses_at([0.0, segment.length]) for segment in guess.segments]
     for before, after in itertools.pairwise(ends):
         np.testing.assert_allclose(before[1], after[0], atol=1e-9)
+
+
+def test_robot_that_cannot_stop_before_the_end_backs_up_from_there():
+    """In half of the paths the arc length of the end minus that of the last gear is larger than its length."""
+    rng, found = np.random.default_rng(3), 0
+    for _ in range(60):
+        first, last = rng.uniform(0.3, 1.5), rng.uniform(0.82, 0.98)
+        back = ClothoidSpline(ORIGIN, np.array([0.0, first]), np.zeros(2), -1)
+        ahead = ClothoidSpline(back.end, np.array([0.0, last]), np.zeros(2))
+        path = Path((ClothoidSegment(back), ClothoidSegment(ahead)), "map")
+        joint = BranchPoint(path, 0.0, first + 0.6 * last, 0.3, 0.0, 1)
+        problem = running().problem
+        dock = dataclasses.replace(problem.dock, pose=path.end @ Pose2(0.0, 0.02, 0.0))
+        problem = dataclasses.replace(problem, dock=dock).starting_at(joint.pose, 0.3, 0.0)
+        guess = backed_up(joint, problem, least=10.0)
+        if guess is None:
+            continue
+        found += path.length - path.segment_starts[1] > last
+        assert guess.segments[0].length == pytest.approx(0.4 * last)
+        assert guess.segments[1].spline.start.gap_to(path.end) <= 1e-9
+    assert found > 5
 
 
 def test_robot_far_from_the_dock_does_not_back_up():

@@ -278,7 +278,9 @@ class Stages:
             found = search(exits, entries, self.space, effort, self._worthwhile)
             for way in itertools.islice(found, _TURN_TRIES):
                 path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
-                if path.digest not in known and least_price(path, self.problem) < self._better_than():
+                if path is None or path.digest in known:
+                    continue
+                if least_price(path, self.problem) < self._better_than():
                     known.add(path.digest)
                     yield Guess(path, "turn and drive")
 

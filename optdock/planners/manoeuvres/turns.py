@@ -91,8 +91,11 @@ class TurnsAndDrives(NamedTuple):
             blocks.append(_line(turned, length, spacing))
         return np.concatenate(blocks)
 
-    def path(self, spacing: float, goal: Pose2, frame: str) -> Path:
-        """Return a path of turn segments and of polylines with a given spacing [m], which ends exactly at `goal`."""
+    def path(self, spacing: float, goal: Pose2, frame: str) -> Path | None:
+        """Return a path of turn segments and of polylines with a given spacing [m], which ends exactly at `goal`.
+
+        The result is None if there is nothing to turn or drive.
+        """
         before, after = self.joints()
         segments: list[Segment] = []
         rounds = np.append(self.rounds(), False)
@@ -109,7 +112,7 @@ class TurnsAndDrives(NamedTuple):
                 gear = Direction.FORWARD if length > 0.0 else Direction.REVERSE
                 segments.append(PolylineSegment(np.concatenate(run), gear))
                 run = []
-        return Path((*segments[:-1], _ending_at(segments[-1], goal)), frame)
+        return Path((*segments[:-1], _ending_at(segments[-1], goal)), frame) if segments else None
 
 
 def _line(pose: FloatArray, length: float, spacing: float) -> FloatArray:

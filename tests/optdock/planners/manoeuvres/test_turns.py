@@ -22,7 +22,7 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.manoeuvre_planner import Stages
 from optdock.planners.manoeuvres.price import CUSP_PRICE, least_price, stops, turning_times
-from optdock.planners.manoeuvres.turns import turns_and_drives
+from optdock.planners.manoeuvres.turns import TurnsAndDrives, turns_and_drives
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin
@@ -234,6 +234,11 @@ def test_turn_takes_the_time_of_a_trapezoid(turn, rate, acceleration):
         assert took == pytest.approx(2.0 * math.sqrt(turn / acceleration))
     else:
         assert took == pytest.approx(turn / rate + rate / acceleration)
+
+
+def test_a_robot_in_the_dock_neither_turns_nor_drives():
+    nothing = TurnsAndDrives(np.array([1.0, 2.0, 0.5]), np.zeros(2), np.zeros(2))
+    assert nothing.path(0.05, Pose2(1.0, 2.0, 0.5), "map") is None
 
 
 def test_turn_and_the_rests_around_it_are_one_stop():
