@@ -24,7 +24,15 @@ from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import clipped, limit_rate
 from smoothers.scp.loop import SearchGuess, evaluated
 from smoothers.scp.nlp import with_intervals
-from smoothers.scp.qp_step import Linearization, Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
+from smoothers.scp.qp_step import (
+    Linearization,
+    Penalties,
+    Subproblem,
+    numbers_before_rows,
+    pool_of_this_thread,
+    solve_step,
+    trusted_nodes,
+)
 from smoothers.scp.rollout import Rollout, Variables, in_order, roll_out, sensitivity
 
 if TYPE_CHECKING:
@@ -500,7 +508,7 @@ def tracked_path(least: LeastSquares, variables: FloatArray) -> TrackedPath:
 
 def _linearize_natively(least: LeastSquares, current: TrackedPath) -> Linearization:
     nlp, basis, size, trusted = least.nlp, least.nlp.basis, least.nlp.basis.size, least.trusted.size
-    count, work = size * (2 * size + 5 + trusted) + 3, size * (3 * basis.num_nodes + size + 4)
+    count, work = numbers_before_rows(size, trusted), size * (3 * basis.num_nodes + size + 4)
     values = np.empty(count)
     arrays = (
         *_arrays(least),

@@ -55,6 +55,7 @@ __all__ = [
     "Subproblem",
     "blocks_for",
     "linearize_and_solve_natively",
+    "numbers_before_rows",
     "pool_of_this_thread",
     "prepare_programs",
     "solve_natively",
@@ -172,8 +173,7 @@ class Linearization(NamedTuple):
     @property
     def start(self) -> int:
         """Index of the first row in `values`."""
-        size = self.basis.size
-        return size * (2 * size + 5 + self.trusted) + 3
+        return numbers_before_rows(self.basis.size, self.trusted)
 
     def tighten(self, shortfalls: FloatArray) -> None:
         """Require more clearance in all rows of each zone, Shape (zones,) [m]."""
@@ -236,7 +236,7 @@ def linearize_and_solve_natively(
     parts, obstacles = scene.body.vertices.shape[0], scene.obstacles.vertices.shape[0]
     p = (current.pairs.size - nodes) // 3
     rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
-    start = size * (2 * size + 5 + packed.trusted) + 3
+    start = numbers_before_rows(size, packed.trusted)
     node, values = np.empty(most + 1, dtype=np.int64), np.empty(start + min(most, rows) * (1 + size))
     guess, last = _guess(pool.latest, nlp, None, packed.columns, packed.rows)
     numbers, integers = _room(packed, most, guess.size)
@@ -264,6 +264,11 @@ def linearize_and_solve_natively(
     if found < 0:
         return around, _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
     return around, _kept(nlp, around, pool, work, indices[:found])
+
+
+def numbers_before_rows(size: int, trusted: int) -> int:
+    """Return how many numbers of `Linearization.values` precede the rows."""
+    return size * (2 * size + 5 + trusted) + 3
 
 
 def _room(packed: PackedProgram, count: int, guessed: int) -> tuple[int, int]:

@@ -67,7 +67,10 @@ def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Ro
 def linearized_view(
     bound: ViewBound, basis: Basis, rollout: Rollout, by: Callable[[], Sensitivity], places: SeenPlaces, reach: float
 ) -> ClearanceRows | None:
-    """Return the constraint rows of the margins below `reach` [m], or None if there are none; `by` as for terms."""
+    """Return the constraint rows of the margins below `reach` [m], or None if there are none.
+
+    `by` returns the derivatives of the poses, and is only called if there are rows.
+    """
     edge, place = np.nonzero(places.margin < reach)
     if not edge.size:
         return None
