@@ -32,7 +32,7 @@ from smoothers.scp.qp_step import (
     zone_of,
 )
 from smoothers.scp.rollout import Rollout, Variables, in_order, sensitivity, squared_motion
-from smoothers.scp.term_rows import linearized_terms, terms_along
+from smoothers.scp.term_rows import linearized_terms, require_numbers, terms_along
 from smoothers.scp.visibility_constraint import linearized_view, view_along
 
 if TYPE_CHECKING:
@@ -272,16 +272,18 @@ def _with_view_and_terms(found: Iterate) -> Iterate:
         return found
     variables, rollout, allowance = found.variables, found.rollout, nlp.settings.loop.end_allowance
     short, cost, view, terms = np.full(basis.num_nodes, -np.inf), found.cost, None, None
+    if nlp.terms is not None:
+        terms = terms_along(nlp.terms, basis, variables, rollout)
+        short, cost = terms.short.copy(), cost + terms.cost
     if nlp.view is not None:
         view = view_along(nlp.view, basis, variables, rollout)
         np.maximum.at(short, view.node, -view.margin.min(axis=0, initial=np.inf))
-    if nlp.terms is not None:
-        terms = terms_along(nlp.terms, basis, variables, rollout)
-        short, cost = np.maximum(short, terms.short), cost + terms.cost
-    short[[0, -1]] -= allowance  # the end poses are given, as in `_judged`
+    short[0] -= allowance  # the end poses are given, as in `_judged`
+    short[-1] -= allowance
+    if short.max() <= 0.0 and cost == found.cost:
+        return found._replace(view=view, terms=terms)
     end, zones = nlp.packed.results, found.zones
-    if not short.max() <= 0.0:
-        np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
+    np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
     found.values[end : end + 3] = cost, zones.max(), in_order(zones)
     return Iterate.of(nlp, found.values, found.pairs, view, terms)
 
@@ -360,7 +362,8 @@ def _with_rows_of_view_and_terms(current: Iterate, around: Linearization, buffer
     if nlp.view is not None and current.view is not None:
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, reach)
     if nlp.terms is not None and current.terms is not None:
-        costs, bounded = linearized_terms(nlp.terms, basis, variables, current.terms.points, by, reach)
+        require_numbers(nlp.terms, basis, variables, rollout, current.terms)
+        costs, bounded = linearized_terms(nlp.terms, basis, variables, current.terms, by, reach)
     if seeing is None and bounded is None and costs is None:
         return around
     parts = around.parts

@@ -247,37 +247,39 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
         terms: Terms.
         after: Distance left to drive from the goal of the problem [m]; None: only the start is checked.
     """
-    points, (first, last) = np.zeros((1, len(SYMBOLS))), (path.segments[0].direction, path.segments[-1].direction)
-    points[0, :3], points[0, 6] = problem.start.as_array(), int(first)
-    fixed = {"x", "y", "yaw", "gear"}
-    if problem.start_curvature is not None:
-        points[0, 3] = problem.start_curvature
-    broken = _lowest(terms, points, fixed if problem.start_curvature is None else {*fixed, "curvature"})
+    if not terms.hard:
+        return None
+    goal, straight, fixed = problem.goal, problem.dock.final_straight, {"x", "y", "yaw", "gear"}
+    first, last = int(path.segments[0].direction), int(path.segments[-1].direction)
+    count = 0 if after is None else max(1, math.ceil(straight / SPACING)) + 1
+    back, points = np.linspace(straight, 0.0, count), np.zeros((1 + count, len(SYMBOLS)))
+    points[0, :4] = *problem.start.as_array(), problem.start_curvature or 0.0
+    points[0, 6] = first
+    points[1:, 0] = goal.x - last * back * math.cos(goal.yaw)
+    points[1:, 1] = goal.y - last * back * math.sin(goal.yaw)
+    points[1:, 2], points[1:, 5], points[1:, 6] = goal.yaw, back + (after or 0.0), last
+    points[:, 2] = wrap_angles(points[:, 2])
+    values = terms.only_hard.values(points)
+    values[np.isnan(values)] = -np.inf
+    known = fixed if problem.start_curvature is None else {*fixed, "curvature"}
+    broken = _lowest(terms, values[:1], known)
     if broken is not None:
         message = f"{broken[1]} at the start, where every path begins"
         return Refusal("term", 0.0, broken[2], "", message, points[0, :3], {"term": broken[3]})
-    if after is None:
-        return None
-    goal, straight = problem.goal, problem.dock.final_straight
-    back = np.linspace(straight, 0.0, max(1, math.ceil(straight / SPACING)) + 1)
-    points = np.zeros((back.size, len(SYMBOLS)))
-    points[:, 0] = goal.x - int(last) * back * math.cos(goal.yaw)
-    points[:, 1] = goal.y - int(last) * back * math.sin(goal.yaw)
-    points[:, 2], points[:, 5], points[:, 6] = goal.yaw, back + after, int(last)
-    broken = _lowest(terms, points, {*fixed, "remaining", *(["curvature"] if straight > 0.0 else [])})
+    broken = _lowest(terms, values[1:], {*fixed, "remaining", *(["curvature"] if straight > 0.0 else [])})
     if broken is None:
         return None
     row = broken[0]
     place = "at the goal" if back[row] == 0.0 else f"on the final straight, {back[row]:.3f} m before the goal"
     message = f"{broken[1]} {place}, where every path ends"
-    return Refusal("term", path.length - float(back[row]), broken[2], "", message, points[row, :3], {"term": broken[3]})
+    at = points[1 + row, :3]
+    return Refusal("term", path.length - float(back[row]), broken[2], "", message, at, {"term": broken[3]})
 
 
-def _lowest(terms: TermSet, points: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
-    """Return the point, a sentence, the amount and the name of the first violated term that reads only `known`."""
-    points[:, 2] = wrap_angles(points[:, 2])
-    values = terms.values(points)
-    values[~np.isfinite(values)] = -np.inf
+def _lowest(terms: TermSet, values: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
+    """Return the row, a sentence, the amount and the name of the first violated hard term that reads only `known`."""
+    if not (values < -_TOLERANCE).any():
+        return None
     for k, term in enumerate(terms.hard):
         row = int(np.argmin(values[:, k]))
         value = float(values[row, k])

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.refusals import Refusal
-    from smoothers.scp.settings import AnytimeSettings, Settings, ViewSettings
+    from smoothers.scp.settings import AnytimeSettings, Settings
     from smoothers.scp.term_functions import TermSet
 
 __all__ = [
@@ -116,6 +116,12 @@ class Call(NamedTuple):
     def whole(self) -> DockingProblem:
         """Problem of the whole path, whose clearance rule applies."""
         return self.problem if self.within is None else self.within
+
+    @property
+    def bounds_places(self) -> bool:
+        """Whether poses are bounded by more than the clearance: by a required view or hard terms."""
+        hard = () if self.terms is None else self.terms.hard
+        return self.whole.required_view is not None or any(term.function.reads for term in hard)
 
     def judged(self, path: Path, is_late: Callable[[], bool]) -> PathVerdict:
         """Return the verdict on a path; for a piece, violations that concern ends of the whole path are removed."""
@@ -411,8 +417,9 @@ class Solver:
         chosen = Formulation(weights, spans, coarser * interval)
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
-        nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings, look=self._raise_if_late)
-        nlp = _with_terms(_with_view(nlp, call, self.settings.view), call, self.settings.view)
+        settings = self.settings.goal_first if call.bounds_places else self.settings
+        nlp = formulate(call.path, call.problem, scene, chosen, lengths, settings, look=self._raise_if_late)
+        nlp = _with_view_and_terms(nlp, call)
         self.times.expect(nlp, self.pool.pace if clock_name() != "counted" else 1.0)
         return nlp, InitialGuesses(nlp, earlier, self.pool, self.times.no_more_iterations)
 
@@ -476,7 +483,7 @@ class Solver:
         if nlp.terms is not None and refused.terms is not None and judged is not None:
             path, verdict = judged
             if verdict.certificate.certified:  # a hard term is violated
-                return replace(nlp, terms=tightened(nlp.terms, refused.terms.points, path))
+                return replace(nlp, terms=tightened(nlp.terms, nlp.basis, refused.variables, path))
         if refused.feasible:
             return _more_cautious(nlp, chosen)
         return with_intervals(nlp, [chosen.repair_finer * cells for _, cells in nlp.basis.shape])
@@ -566,33 +573,15 @@ class Solver:
         return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
 
 
-def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
-    """Return the program with the view constraint, if the problem requires a view of the dock."""
-    view = call.whole.required_view
-    if view is None:
+def _with_view_and_terms(nlp: NonlinearProgram, call: Call) -> NonlinearProgram:
+    """Return the program with the required view and the terms of the user, if there are any."""
+    seen, terms, after = call.whole.required_view, call.terms, call.problem.dock.final_straight + call.after
+    if seen is None and terms is None:
         return nlp
-    bound = ViewBound(view, call.whole, nlp.ends.signs, call.problem.dock.final_straight + call.after)
-    return replace(_goal_first(nlp, chosen), view=bound)
-
-
-def _with_terms(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
-    """Return the program with the terms of the user, if there are any."""
-    if call.terms is None:
-        return nlp
+    view = None if seen is None else ViewBound(seen, call.whole, nlp.ends.signs, after)
     bend = 2.0 * float(nlp.bounds.upper[: nlp.basis.num_knots].max())
-    after = call.problem.dock.final_straight + call.after
-    bound = TermBound(call.terms, nlp.ends.signs, call.before, after, bend)
-    if any(term.function.reads for term in call.terms.hard):
-        nlp = _goal_first(nlp, chosen)
-    return replace(nlp, terms=bound)
-
-
-def _goal_first(nlp: NonlinearProgram, chosen: ViewSettings) -> NonlinearProgram:
-    """Return the program with a larger penalty on the goal error than on all zones together."""
-    loop = replace(
-        nlp.settings.loop, goal_penalty=chosen.goal_penalty, goal_above_clearance=chosen.goal_above_clearance
-    )
-    return replace(nlp, settings=replace(nlp.settings, loop=loop))
+    bound = None if terms is None else TermBound(terms, nlp.ends.signs, call.before, after, bend)
+    return replace(nlp, view=view, terms=bound)
 
 
 def _more_cautious(nlp: NonlinearProgram, chosen: AnytimeSettings) -> NonlinearProgram:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from optdock.geometry.lazy import cached_property
 
 __all__ = [
     "DEFAULT_SETTINGS",
@@ -273,6 +275,13 @@ class Settings:
     loop: LoopSettings = LoopSettings()
     view: ViewSettings = ViewSettings()
     anytime: AnytimeSettings = AnytimeSettings()
+
+    @cached_property
+    def goal_first(self) -> Settings:
+        """The settings with a larger penalty on the goal error than on all zones together."""
+        chosen = self.view
+        goal, share = chosen.goal_penalty, chosen.goal_above_clearance
+        return replace(self, loop=replace(self.loop, goal_penalty=goal, goal_above_clearance=share))
 
 
 DEFAULT_SETTINGS = Settings()

@@ -2,7 +2,8 @@
 
 All terms of a smoother are one function of a point, which is mapped over blocks of points. The functions are built once
 per thread and set of terms, in 2 to 5 ms, and share their buffers with NumPy arrays. A block of 64 points with
-derivatives takes 2 to 6 us per term, a ten-thousandth of a call. Code in C would save nothing, so none is generated.
+derivatives takes 2 to 6 us per term, less than the copies around it. Code in C would save nothing, so none is
+generated.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ class TermSet:
     soft: tuple[SoftTerm, ...]
 
     def values(self, points: FloatArray) -> FloatArray:
-        """Return the values of all terms at `points`, Shape (n, 7), in the order of `SYMBOLS`. Shape (n, terms)."""
+        """Return the values of all terms at `points`, Shape (n, 7), in the order of `SYMBOLS`. Shape (n, terms).
+
+        A value that is not finite is NaN. Columns of symbols that are not in `reads` may have any value.
+        """
         return self._functions.values(points, self._parameters)
 
     def with_slopes(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -52,8 +56,20 @@ class TermSet:
         A derivative that is not finite at a kink is 0.
         """
         values, slopes = self._functions.with_slopes(points, self._parameters)
-        slopes[~np.isfinite(slopes)] = 0.0
+        finite = np.isfinite(slopes)
+        if not finite.all():
+            slopes[~finite] = 0.0
         return values, slopes
+
+    @cached_property
+    def reads(self) -> frozenset[str]:
+        """Names of the symbols on which the values depend."""
+        return frozenset[str]().union(*(term.function.reads for term in (*self.hard, *self.soft)))
+
+    @cached_property
+    def only_hard(self) -> TermSet:
+        """The set of the hard terms."""
+        return TermSet(self.hard, ()) if self.soft else self
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -62,7 +78,7 @@ class TermSet:
 
     @cached_property
     def _parameters(self) -> FloatArray:
-        return np.array([value for term in (*self.hard, *self.soft) for value in term.values.values()])
+        return np.array([*(value for term in (*self.hard, *self.soft) for value in term.values.values()), 0.0])
 
     @cached_property
     def _key(self) -> tuple[TermFunction, ...]:
@@ -100,21 +116,28 @@ def term_set(terms: Iterable[PathTerm]) -> TermSet | None:
 
 
 class TermFunctions:
-    """Functions of several terms with buffers, for one thread at a time."""
+    """Functions of several terms with buffers, for one thread at a time.
+
+    A last parameter, 0, is multiplied by the value and the hidden value (see `TermFunction`), so that the result is NaN
+    where one of them is not finite.
+    """
 
     def __init__(self, functions: tuple[TermFunction, ...]) -> None:
         import casadi
 
         point = casadi.SX.sym("point", len(SYMBOLS))
-        sizes = [one.function.size1_in(1) for one in functions]
+        sizes = [*(one.function.size1_in(1) for one in functions), 1]
         parameters = casadi.SX.sym("parameters", sum(sizes))
-        parts = casadi.vertsplit(parameters, np.concatenate(([0], np.cumsum(sizes))).tolist())
+        *parts, zero = casadi.vertsplit(parameters, np.concatenate(([0], np.cumsum(sizes))).tolist())
         found = [one.function(point, part) for one, part in zip(functions, parts, strict=True)]
         value, hidden = (casadi.densify(casadi.vertcat(*column)) for column in zip(*found, strict=True))
         slopes = casadi.densify(casadi.jacobian(value, point[:DERIVATIVES]))
+        shown = value + zero * (value + hidden)
         self.count = len(functions)
-        self._one = casadi.Function("value", [point, parameters], [value, hidden])
-        self._one_with_slopes = casadi.Function("both", [point, parameters], [value, hidden, slopes])
+        self._one = casadi.Function("value", [point, parameters], [shown])
+        self._one_with_slopes = casadi.Function(
+            "both", [point, parameters], [casadi.vertcat(shown, casadi.vec(slopes))]
+        )
 
     @cached_property
     def _nodes(self) -> _Blocks:
@@ -129,17 +152,14 @@ class TermFunctions:
         return _Blocks(self._one_with_slopes, _BLOCK)
 
     def values(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
-        """Return the values at points, Shape (n, 7), and NaN where a hidden value is not finite. Shape (n, terms)."""
+        """Return the values at points, Shape (n, 7), or NaN where they are not finite. Shape (n, terms)."""
         blocks = self._samples if len(points) > 2 * _LARGE_BLOCK else self._nodes
-        value, hidden = blocks.evaluated(points, parameters)
-        value[~np.isfinite(hidden)] = np.nan
-        return value
+        return blocks.evaluated(points, parameters)
 
     def with_slopes(self, points: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the values, Shape (n, terms), and derivatives, Shape (n, `DERIVATIVES`, terms)."""
-        value, hidden, slopes = self._nodes_with_slopes.evaluated(points, parameters)
-        value[~np.isfinite(hidden)] = np.nan
-        return value, slopes.reshape(-1, DERIVATIVES, self.count)
+        found = self._nodes_with_slopes.evaluated(points, parameters)
+        return found[:, : self.count], found[:, self.count :].reshape(-1, DERIVATIVES, self.count)
 
 
 class _Blocks:
@@ -151,29 +171,27 @@ class _Blocks:
             mapped = mapped.expand()
         self._points = np.zeros((size, function.size1_in(0)))
         self._parameters = np.zeros(function.size1_in(1))
-        self._results = [np.zeros((size, function.nnz_out(i))) for i in range(function.n_out())]
+        self._results = np.zeros((size, function.nnz_out(0)))
         self._buffer, self._run = self._bound(mapped)
 
     def _bound(self, mapped: casadi.Function) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
         buffer, run = mapped.buffer()
-        for i, values in enumerate((self._points, self._parameters)):
-            buffer.set_arg(i, _memory(values))  # type: ignore[call-arg]  # the stub declares only the C form
-        for i, values in enumerate(self._results):
-            buffer.set_res(i, _memory(values))  # type: ignore[call-arg]
+        buffer.set_arg(0, _memory(self._points))  # type: ignore[call-arg]  # the stub declares only the C form
+        buffer.set_arg(1, _memory(self._parameters))  # type: ignore[call-arg]
+        buffer.set_res(0, _memory(self._results))  # type: ignore[call-arg]
         return buffer, run
 
-    def evaluated(self, points: FloatArray, parameters: FloatArray) -> list[FloatArray]:
-        """Return every output at the points, one row per point."""
+    def evaluated(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
+        """Return the output at the points, one row per point."""
         self._parameters[:] = parameters
-        found: list[FloatArray] = [np.empty((len(points), part.shape[1])) for part in self._results]
-        size = len(self._points)
+        size, (_, width) = len(self._points), self._results.shape
+        found = np.empty((len(points), width))
         for begin in range(0, len(points), size):
             block = points[begin : begin + size]
-            self._points[: len(block)] = block
-            self._points[len(block) :] = block[-1]
+            count = len(block)
+            self._points[:count] = block  # the other points are those of an earlier block
             self._run()
-            for whole, part in zip(found, self._results, strict=True):
-                whole[begin : begin + len(block)] = part[: len(block)]
+            found[begin : begin + count] = self._results[:count]
         return found
 
 

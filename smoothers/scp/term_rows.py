@@ -7,6 +7,7 @@ within a step. Its values have the unit of clearances, so the shortfalls and row
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,9 +20,10 @@ from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.refusals import Refusal
 from smoothers.scp.term_samples import samples_of
+from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Container
 
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.path import Path
@@ -29,7 +31,16 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout, Sensitivity, Variables
     from smoothers.scp.term_functions import TermSet
 
-__all__ = ["TermBound", "TermsAlong", "linearized_terms", "node_shares", "term_points", "terms_along", "tightened"]
+__all__ = [
+    "TermBound",
+    "TermsAlong",
+    "linearized_terms",
+    "node_shares",
+    "require_numbers",
+    "term_points",
+    "terms_along",
+    "tightened",
+]
 
 _FLAT = 1e-9  # smaller derivatives by all variables give no row: the start is given
 _TIGHTENED = 1.2  # times the shortfall between nodes
@@ -53,34 +64,43 @@ class TermsAlong(NamedTuple):
 
     cost: float  # of the soft terms
     short: FloatArray  # largest shortfall of the hard terms, Shape (num_nodes,)
-    points: FloatArray  # values of the symbols, Shape (num_nodes, 7)
+    values: FloatArray  # hard terms minus their margins, soft terms, Shape (num_nodes, terms)
+    slopes: FloatArray  # derivatives by the symbols, see `TermSet.with_slopes`
 
 
 def terms_along(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> TermsAlong:
     """Return the terms along a path; values that are not finite are infinite costs and shortfalls."""
-    points = term_points(bound, basis, variables, rollout)
-    values = bound.terms.values(points)
-    count = len(bound.terms.hard)
-    hard, soft = values[:, :count] - bound.margins, values[:, count:]
-    hard[~np.isfinite(hard)] = -np.inf
-    short = -hard.min(axis=1, initial=np.inf)
-    if not bound.terms.soft:
-        return TermsAlong(0.0, short, points)
+    terms, count = bound.terms, len(bound.terms.hard)
+    values, slopes = terms.with_slopes(term_points(bound, basis, variables, rollout, terms.reads))
+    values[:, :count] -= bound.margins
+    short = -values[:, :count].min(axis=1, initial=np.inf)
+    short[np.isnan(short)] = np.inf
+    if not terms.soft:
+        return TermsAlong(0.0, short, values, slopes)
     share = node_shares(basis) * variables.lengths[basis.node_gear]
-    cost = float(share @ (soft**2 @ bound.terms.weights))
-    return TermsAlong(cost if np.isfinite(cost) else np.inf, short, points)
+    cost = float(share @ (values[:, count:] ** 2 @ terms.weights))
+    return TermsAlong(cost if math.isfinite(cost) else math.inf, short, values, slopes)
 
 
-def term_points(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> FloatArray:
-    """Return the values of the symbols at the nodes, Shape (num_nodes, 7)."""
-    done, lengths = _done(basis), variables.lengths
-    points = np.empty((basis.num_nodes, 7))
+def term_points(
+    bound: TermBound,
+    basis: Basis,
+    variables: Variables,
+    rollout: Rollout,
+    reads: Container[str] = SYMBOLS,
+) -> FloatArray:
+    """Return the values of the symbols in `reads` at the nodes; the other columns are 0. Shape (num_nodes, 7)."""
+    points = np.zeros((basis.num_nodes, len(SYMBOLS)))
     points[:, :2] = rollout.poses[:, :2]
-    points[:, 2] = wrap_angles(rollout.poses[:, 2])
+    if "yaw" in reads:
+        points[:, 2] = wrap_angles(rollout.poses[:, 2])
     points[:, 3] = rollout.curvature
-    points[:, 4] = bound.before + done @ lengths
-    points[:, 5] = bound.after + (1.0 - done) @ lengths
-    points[:, 6] = bound.signs[basis.node_gear]
+    if "s" in reads:
+        points[:, 4] = bound.before + _done(basis) @ variables.lengths
+    if "remaining" in reads:
+        points[:, 5] = bound.after + (1.0 - _done(basis)) @ variables.lengths
+    if "gear" in reads:
+        points[:, 6] = bound.signs[basis.node_gear]
     return points
 
 
@@ -103,7 +123,7 @@ def linearized_terms(
     bound: TermBound,
     basis: Basis,
     variables: Variables,
-    points: FloatArray,
+    along: TermsAlong,
     by: Callable[[], Sensitivity],
     reach: float,
 ) -> tuple[Quadratic | None, ClearanceRows | None]:
@@ -112,32 +132,25 @@ def linearized_terms(
     Args:
         bound: Terms.
         basis: Basis.
-        variables: Variables of the roll-out.
-        points: Values of the symbols at the nodes.
+        variables: Variables of the path.
+        along: Terms along the path, finite numbers.
         by: Returns the derivatives of the poses; only called if a term acts.
         reach: Motion of a node [m, rad] within which a hard term must change its sign to have a row.
     """
-    terms = bound.terms
-    values, slopes = terms.with_slopes(points)
-    _require_numbers(terms, points, values)
-    values[:, : len(terms.hard)] -= bound.margins
-    count, rows, quadratic = len(terms.hard), list[ClearanceRows](), None
+    values, slopes, count = along.values, along.slopes, len(bound.terms.hard)
     within = np.array([reach, reach, reach, bound.bend, reach, reach])
-    for k in range(count):
-        near = np.flatnonzero(values[:, k] < np.abs(slopes[:, :, k]) @ within)
-        if not near.size:
-            continue
+    is_near, rows = values[:, :count] < within @ np.abs(slopes[:, :, :count]), list[ClearanceRows]()
+    for k in np.flatnonzero(is_near.any(axis=0)).tolist():
+        near = np.flatnonzero(is_near[:, k])
         if near.size > _MOST_ROWS:
             near = near[np.argpartition(values[near, k], _MOST_ROWS)[:_MOST_ROWS]]
         gradient = _by_variables(basis, by(), slopes[:, :, k], near)
         found = ClearanceRows(gradient, values[near, k], near)
         rows.append(found.subset(np.abs(gradient).max(axis=1, initial=0.0) > _FLAT))
-    share = node_shares(basis)
-    for k, weight in enumerate(terms.weights, count):
-        residual = values[:, k]
+    share, quadratic = node_shares(basis), None
+    for k in (count + np.flatnonzero(values[:, count:].any(axis=0))).tolist():
+        residual, weight = values[:, k], bound.terms.weights[k - count]
         used = np.flatnonzero(residual)
-        if not used.size:
-            continue
         scale = 2.0 * weight * share[used] * variables.lengths[basis.node_gear[used]]
         moved = _by_variables(basis, by(), slopes[:, :, k], used)
         longer = np.bincount(basis.node_gear, weight * share * residual**2, minlength=basis.num_gears)
@@ -149,32 +162,36 @@ def linearized_terms(
     return quadratic, joined
 
 
-def tightened(bound: TermBound, points: FloatArray, path: Path) -> TermBound:
+def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) -> TermBound:
     """Return the bound with larger margins at the nodes next to samples of `path` where a hard term is negative.
 
     Args:
         bound: Terms along the path or piece.
-        points: Values of the symbols at the nodes.
-        path: Exact path of these nodes, with the final straight.
+        basis: Basis.
+        variables: Variables of the path.
+        path: Exact path of these variables, with the final straight.
     """
-    count, straight = len(bound.terms.hard), float(path.driven - (points[-1, 4] - bound.before))
+    count, driven = len(bound.terms.hard), bound.before + _done(basis) @ variables.lengths
+    straight = float(path.driven - (driven[-1] - bound.before))
     samples, _ = samples_of(path, bound.before, bound.after - straight)
     values = bound.terms.values(samples)[:, :count]
     short = np.where(np.isfinite(values), np.maximum(-values, 0.0), 0.0)
-    after = np.clip(np.searchsorted(points[:, 4], samples[:, 4]), 1, len(points) - 1)
-    margins = np.zeros((len(points), count))
+    after = np.clip(np.searchsorted(driven, samples[:, 4]), 1, len(driven) - 1)
+    margins = np.zeros((len(driven), count))
     for node in (after - 1, after):
         np.maximum.at(margins, node, _TIGHTENED * short)
     margins[[0, -1]] = 0.0  # the ends are given
     return replace(bound, margins=bound.margins + margins)
 
 
-def _require_numbers(terms: TermSet, points: FloatArray, values: FloatArray) -> None:
+def require_numbers(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout, along: TermsAlong) -> None:
     """Raise FailedToSmoothPath if a value is not a finite number: a path with such values is never improved."""
-    if np.isfinite(values).all():
+    finite = np.isfinite(along.values)
+    if finite.all():
         return
-    row, k = np.argwhere(~np.isfinite(values))[0]
-    term, (x, y, yaw, _, s, *_) = (*terms.hard, *terms.soft)[k], points[row].tolist()
+    row, k = np.argwhere(~finite)[0]
+    x, y, yaw, _, s, *_ = term_points(bound, basis, variables, rollout)[row].tolist()
+    term = (*bound.terms.hard, *bound.terms.soft)[k]
     message = f"the term {term.name!r} is not a finite number at s = {s:.3f} m on the first path of the search"
     raise Refusal("term", s, np.inf, "", message, np.array([x, y, yaw]), {"term": term.name}).error()
 

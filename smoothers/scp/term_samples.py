@@ -16,15 +16,15 @@ from optdock.geometry.pose import wrap_angles
 from optdock.model.segments import PolylineSegment, TurnSegment
 from optdock.plugins.outcomes import SampledBound
 from optdock.verification.certificate import Memo
-from smoothers.scp.term_functions import TermSet
 from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Container
 
     from optdock.geometry.arrays import FloatArray
     from optdock.model.path import Path
     from optdock.model.segments import Segment
+    from smoothers.scp.term_functions import TermSet
 
 __all__ = ["SPACING", "sampled_cost", "sampled_terms", "samples_of"]
 
@@ -58,8 +58,9 @@ def sampled_terms(
     known = _KEPT.recall(path) if is_whole else None
     if known is not None and known[0] is terms:
         return known[1]
-    points, stations = samples_of(path, before, after)
-    hard, values = TermSet(terms.hard, ()), np.full((len(points), len(terms.hard)), -np.inf)
+    hard = terms.only_hard
+    points, stations = samples_of(path, before, after, hard.reads)
+    values = np.full((len(points), len(terms.hard)), -np.inf)
     for begin in range(0, len(points), _AT_ONCE):
         if begin and is_late():
             is_whole = False
@@ -96,21 +97,28 @@ def sampled_cost(terms: TermSet, path: Path, without: float, before: float = 0.0
     return float(0.5 * steps @ (cost[1:] + cost[:-1]))
 
 
-def samples_of(path: Path, before: float = 0.0, after: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def samples_of(
+    path: Path, before: float = 0.0, after: float = 0.0, reads: Container[str] = SYMBOLS
+) -> tuple[FloatArray, FloatArray]:
     """Return the values of the symbols at samples of a path, Shape (n, 7), and their path coordinates, Shape (n,) [m].
 
-    The ends of all segments are samples. `before` and `after` are as in `sampled_terms`.
+    The ends of all segments are samples. `before` and `after` are as in `sampled_terms`. The heading and the curvature
+    are 0 if they are not in `reads`.
     """
     parts, stations, driven = [], [], before
     for segment, start in zip(path.segments, path.segment_starts[:-1].tolist(), strict=True):
         s, poses = _stations(segment)
-        points = np.empty((s.size, len(SYMBOLS)))
-        points[:, :2], points[:, 2] = poses[:, :2], wrap_angles(poses[:, 2])
+        points = np.zeros((s.size, len(SYMBOLS)))
+        points[:, :2] = poses[:, :2]
+        if "yaw" in reads:
+            points[:, 2] = wrap_angles(poses[:, 2])
         points[:, 6] = int(segment.direction)
         if isinstance(segment, TurnSegment):
             points[:, 3], points[:, 4] = math.copysign(_BENT, segment.turn), driven
         else:
-            points[:, 3], points[:, 4] = segment.curvature_at(s), driven + s
+            if "curvature" in reads:
+                points[:, 3] = segment.curvature_at(s)
+            points[:, 4] = driven + s
             driven += segment.length
         parts.append(points)
         stations.append(start + s)

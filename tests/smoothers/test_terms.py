@@ -102,11 +102,8 @@ def test_rows_and_gradients_are_those_of_differences(cases, seed):
         return bound.terms.values(points)[:, :3], terms_along(bound, basis, moved, rollout).cost
 
     flat, rollout = np.concatenate(variables), roll_out(basis, variables, start, signs)
-    points, by = (
-        term_points(bound, basis, variables, rollout),
-        functools.partial(sensitivity, basis, variables, rollout),
-    )
-    quadratic, rows = linearized_terms(bound, basis, variables, points, by, 1e9)
+    found, by = terms_along(bound, basis, variables, rollout), functools.partial(sensitivity, basis, variables, rollout)
+    quadratic, rows = linearized_terms(bound, basis, variables, found, by, 1e9)
     hard, soft = [], []
     for shift in STEP * np.eye(flat.size):
         (up, above), (down, below) = along(flat + shift), along(flat - shift)
@@ -187,7 +184,7 @@ def test_the_whole_program_is_the_symbolic_one(cases, which, monkeypatch):
         iterate, by = judged(nlp, variables, rollout, 0.1), functools.partial(sensitivity, basis, variables, rollout)
         assert iterate.cost == pytest.approx(value.item(), rel=1e-11)
         assert iterate.end_error == pytest.approx(error.ravel(), abs=1e-9)
-        added, rows = linearized_terms(nlp.terms, basis, variables, iterate.terms.points, by, 1e9)
+        added, rows = linearized_terms(nlp.terms, basis, variables, iterate.terms, by, 1e9)
         quadratic = nlp.cost.quadratic(variables, rollout, by()).plus(added)
         assert quadratic.gradient == pytest.approx(gradient.ravel(), rel=1e-9, abs=1e-9)
         goal = end_sensitivity(basis, variables, rollout.moves), iterate.end_error
