@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -133,10 +134,12 @@ class CurveView:
     def _add_charts(self, panels: Sequence[MotionPanel]) -> None:
         """Add figures, which stay in the document: Bokeh does not release removed ones in the browser."""
         self._charts |= {panel.label: self._chart(panel) for panel in panels}
-        self._move.args = {**self._move.args, "cursors": [cursor for _, _, cursor in self._charts.values()]}
         self.data = DataPost({label: source for label, (_, source, _) in self._charts.items()})
-        self.charts.children = [axes for axes, _, _ in self._charts.values()]
-        self.holder.tags = [self.data.post]
+        document = self.charts.document
+        with contextlib.nullcontext() if document is None else document.models.freeze():  # collects the models once
+            self._move.args = {**self._move.args, "cursors": [cursor for _, _, cursor in self._charts.values()]}
+            self.charts.children = [axes for axes, _, _ in self._charts.values()]
+            self.holder.tags = [self.data.post]
 
     def _chart(self, panel: MotionPanel) -> tuple[plotting.figure, ColumnDataSource, Span]:
         """Return an empty figure, its data and its cursor."""

@@ -80,8 +80,10 @@ class PageSession:
     ) -> None:
         from bokeh.events import DocumentReady
         from bokeh.models import Div
+        from tornado.ioloop import IOLoop
 
         self.document = document
+        self._loop = IOLoop.current(instance=False)  # of the server; None without one
         self.shown: DrawnPlan | None = None
         self._number, self._doing = 0, ""
         self._named: tuple[int, ...] = ()  # numbers of the obstacles that the answer names
@@ -202,8 +204,12 @@ class PageSession:
             self.document.unhold()
 
     def _answered(self) -> None:
-        """Let the event loop of the page show the answers; called in another thread."""
-        self.document.add_next_tick_callback(self._show_answers)
+        """Let the event loop of the page show the answers; called in another thread.
+
+        The callback is added by the loop itself: the end of a hold loses what another thread adds at this moment.
+        """
+        if self._loop is not None:
+            self._loop.add_callback(self.document.add_next_tick_callback, self._show_answers)
 
     def _show_answers(self) -> None:
         answers = self.process.answers()

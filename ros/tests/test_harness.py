@@ -35,6 +35,8 @@ child = subprocess.Popen(["sleep", "300"])
 print("ready", child.pid, flush=True)
 child.wait()
 """
+# A shell without job control lets the programs in its background ignore ctrl-C, and their children inherit this.
+PYTEST = "import signal, sys, pytest; signal.signal(signal.SIGINT, signal.default_int_handler); sys.exit(pytest.main())"
 
 
 def inner_run(folder: Path, then: str) -> tuple[subprocess.Popen[str], list[int]]:
@@ -45,7 +47,7 @@ def inner_run(folder: Path, then: str) -> tuple[subprocess.Popen[str], list[int]
     (folder / "test_inner.py").write_text(textwrap.dedent(TEST.format(folder=str(folder), then=then)))
     (folder / "conftest.py").write_text("from conftest_of_ours import *\n\nProcesses.grace = 0.5\n")
     (folder / "conftest_of_ours.py").write_text((ours / "conftest.py").read_text())
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--rootdir={folder}", str(folder)]
+    command = [sys.executable, "-c", PYTEST, "-q", "-p", "no:cacheprovider", f"--rootdir={folder}", str(folder)]
     env = {**os.environ, "PYTHONPATH": f"{folder}:{ours}"}
     run = subprocess.Popen(
         command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True

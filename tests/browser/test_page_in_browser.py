@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from optdock.cli import app
 from optdock.reports.html.figures import PALETTE
 from optdock.ui.scene_files import worked_scenes
+from optdock.ui.scene_view import GHOSTS
 from tests.browser.opened_page import ROOT, OpenedPage, Program, launched, missing
 from tests.browser.page_picture import Picture, along, crowded, faint
 
@@ -49,7 +50,10 @@ SPEED = """() => {
   const chart = Bokeh.documents[0].get_model_by_name("curves").children[0], {data} = chart.renderers[0].data_source;
   return Object.fromEntries(Object.entries(data).map(([key, column]) => [key, Array.from(column)]));
 }"""
-HIDE = "() => { Bokeh.documents[0].get_model_by_name('ghost').visible = false; }"  # the robot of the player
+# The robot of the player, with the view of its camera and its tube.
+HIDE = f"""() => {{
+  for (const name of {[*GHOSTS]}) Bokeh.documents[0].get_model_by_name(name).visible = false;
+}}"""
 CURSORS = """() => {
   const model = (name) => Bokeh.documents[0].get_model_by_name(name);
   const spans = model("curves").children.map((one) => one.center.find((part) => part.type === "Span").location);

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("bokeh")
 
+from bokeh.document import Document
 from bokeh.models import Div
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
@@ -27,13 +28,20 @@ from optdock.ui.server import page_server
 
 
 class NoRequests:
-    """A planning process that never answers."""
+    """A planning process that never answers by itself."""
+
+    made = None  # the last one
 
     def __init__(self, on_answer):
-        self.closed = False
+        self.closed, self.on_answer, self.fetched = False, on_answer, asyncio.Event()
+        NoRequests.made = self
 
     def ask(self, *asked, **more):
         pass
+
+    def answers(self):
+        self.fetched.set()
+        return []
 
     def close(self):
         self.closed = True
@@ -69,6 +77,24 @@ async def fetched(server, query=""):
 
 def text_of(session):
     return " ".join(root.text for root in session.document.roots if isinstance(root, Div))
+
+
+def test_an_answer_changes_the_document_in_the_thread_of_its_loop(served, monkeypatch):
+    """`Document.unhold` loses a callback that another thread adds between two of its statements."""
+    threads, add = set(), Document.add_next_tick_callback
+
+    def added(document, callback):
+        threads.add(threading.current_thread())
+        return add(document, callback)
+
+    async def visit(server):
+        await fetched(server)
+        monkeypatch.setattr(Document, "add_next_tick_callback", added)
+        await asyncio.to_thread(NoRequests.made.on_answer)
+        await NoRequests.made.fetched.wait()
+        assert threads == {threading.current_thread()}
+
+    served(visit)
 
 
 def test_every_page_has_a_session_and_hostile_queries_are_messages(served, monkeypatch):
