@@ -187,9 +187,10 @@ class _Pushes(NamedTuple):
         if not pushes:
             return None
         sizes = np.array([(one.gear, len(one.body.vertices), len(one.piece.x)) for one in pushes], dtype=np.int64)
-        parts = [((one.share, one.distance), *one.body, *one.piece) for one in pushes]
-        numbers = np.concatenate([np.ravel(part) for push in parts for part in push])
-        return cls(pushes, sizes, numbers, int(sizes[:, 1:].sum(axis=1).max()))
+        parts: list[FloatArray | tuple[float, float]] = []
+        for one in pushes:
+            parts += ((one.share, one.distance), *[part.ravel() for part in (*one.body, *one.piece)])
+        return cls(pushes, sizes, np.concatenate(parts), int(sizes[:, 1:].sum(axis=1).max()))
 
 
 class _Contacts(NamedTuple):
