@@ -169,11 +169,38 @@ class Push(NamedTuple):
     distance: float
 
 
-class _Contact(NamedTuple):
-    """Derivatives of the clearance by all variables, Shape (m + n,), and missing clearance [m]."""
+class _Pushes(NamedTuple):
+    """Pushes, k in number, also in the form for the kernel.
+
+    `sizes`: gear, and numbers of corners of body and obstacle, Shape (k, 3). `numbers`: share, distance, and the arrays
+    of body and obstacle of each, one after the other, Shape (p,). `corners`: largest sum of both numbers of corners.
+    """
+
+    given: Sequence[Push]
+    sizes: IntArray
+    numbers: FloatArray
+    corners: int
+
+    @classmethod
+    def of(cls, pushes: Sequence[Push]) -> _Pushes | None:
+        """Return the pushes in this form; None if there are none."""
+        if not pushes:
+            return None
+        sizes = np.array([(one.gear, len(one.body.vertices), len(one.piece.x)) for one in pushes], dtype=np.int64)
+        parts: list[FloatArray | tuple[float, float]] = []
+        for one in pushes:
+            parts += ((one.share, one.distance), *[part.ravel() for part in (*one.body, *one.piece)])
+        return cls(pushes, sizes, np.concatenate(parts), int(sizes[:, 1:].sum(axis=1).max()))
+
+
+class _Contacts(NamedTuple):
+    """Derivatives of the clearances by all variables, Shape (k, m + n), and missing clearances, Shape (k,) [m]."""
 
     moves: FloatArray
-    short: float
+    short: FloatArray
+
+
+_NO_CONTACTS = _Contacts(np.zeros((0, 1)), np.zeros(0))
 
 
 def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
@@ -212,6 +239,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     if gears is None:
         return None
     program, begin = _Program(gears, limits, speed, len(pushes), steers=steers), start.as_array()
+    pushed = _Pushes.of(pushes)
     program.least, length, before = least, math.inf, None
     for step in range(_SHORTENINGS + _STEPS if shortens else _STEPS):
         if program.has_vanished(gears):
@@ -220,10 +248,10 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
             was, length = length, gears.length
             shortens = step < _SHORTENINGS and abs(length - was) > _SAME_LENGTH * length
         drive = _driven(gears, begin)
-        (x, y, yaw), contacts = drive.borders[-1].tolist(), [_contact(push, gears, drive) for push in pushes]
+        x, y, yaw = drive.borders[-1].tolist()
         gap = goal.x - x, goal.y - y, normalize_angle(goal.yaw - yaw)
-        short = max((contact.short for contact in contacts), default=0.0)
-        is_closed = max(map(abs, gap)) <= _CLOSED and short <= _PUSHED and not shortens
+        contacts = _NO_CONTACTS if pushed is None else _contacts(pushed, gears, drive)
+        is_closed = max(map(abs, gap)) <= _CLOSED and max(contacts.short, default=0.0) <= _PUSHED and not shortens
         if is_closed and program.keeps_bounds(gears):
             return gears.path(start, path.frame)
         changed = program.with_least_change(gears, drive, gap, contacts, shortens=shortens)
@@ -261,7 +289,7 @@ class _Drive(NamedTuple):
 
 _POSES = Kernel("optdock_deformed_poses", sizes=2, numbers=0)
 _MOVES = Kernel("optdock_deformation_moves", sizes=3, numbers=6)
-_CONTACT = Kernel("optdock_deformation_contact", sizes=5, numbers=3)
+_CONTACTS = Kernel("optdock_deformation_contacts", sizes=5, numbers=1)
 
 
 def _driven_native(gears: _Gears, start: FloatArray) -> _Drive:
@@ -372,24 +400,29 @@ def _pose_at(gears: _Gears, drive: _Drive, gear: int, share: float) -> tuple[Flo
     return pose + np.array([along, across, step * (bend + 0.5 * step * slope)]), driven
 
 
-def _contact_native(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
-    (m, n), (v, k) = (gears.signs.size, gears.knots.size), (len(push.body.vertices), len(push.piece.x))
-    moves, short = np.empty((3, m + n)), np.empty(1)
+def _contacts_native(pushes: _Pushes, gears: _Gears, drive: _Drive) -> _Contacts:
+    m, n, k = gears.signs.size, gears.knots.size, len(pushes.given)
+    found = _Contacts(np.empty((k, m + n)), np.empty(k))
     arrays = (
         *zip(gears, (m, m, m, m + 1, n, n), strict=True),
         *zip(drive, (3 * m + 3, 3 * n, 6 * n), strict=True),
-        *zip(push.body, (2 * v, 2 * v, v), strict=True),
-        *((part, k) for part in push.piece),
+        *((pushes.sizes, 3 * k), (pushes.numbers, pushes.numbers.size)),
         *((_BORDERS, 4), (_WEIGHTS, 3), (_PLACES, _PLACES.size), (_RULE, _RULE.size)),
-        *((np.empty((v + k, 2)), 2 * (v + k)), (moves, moves.size), (short, 1)),
+        *((np.empty(work := 3 * (m + n) + 2 * pushes.corners), work), (found.moves, k * (m + n)), (found.short, k)),
     )
-    _CONTACT((m, n, push.gear, v, k), (push.share, push.distance, _FLAT), arrays)
-    return _Contact(moves[0], short.item())
+    _CONTACTS((m, n, k, pushes.numbers.size, pushes.corners), (_FLAT,), arrays)
+    return found
 
 
-@twin_of(_contact_native)
-def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
-    """Return the contact of a push on the current path."""
+@twin_of(_contacts_native)
+def _contacts(pushes: _Pushes, gears: _Gears, drive: _Drive) -> _Contacts:
+    """Return the contacts of pushes on the current path."""
+    moves, short = zip(*(_contact(push, gears, drive) for push in pushes.given), strict=True)
+    return _Contacts(np.array(moves), np.array(short))
+
+
+def _contact(push: Push, gears: _Gears, drive: _Drive) -> tuple[FloatArray, float]:
+    """Return the derivatives of the clearance by all variables, Shape (m + n,), and the missing clearance [m]."""
     pose, driven = _pose_at(gears, drive, push.gear, push.share)
     found = separation(push.body, pose[None], push.piece)
     normal = found.axis[0]
@@ -407,7 +440,7 @@ def _contact(push: Push, gears: _Gears, drive: _Drive) -> _Contact:
         (float(point[0]), float(point[1])), push.gear, push.share, driven, (float(robot[0]), float(robot[1]))
     )
     moves = _moves(gears, drive, place)
-    return _Contact(normal[0] * moves[0] + normal[1] * moves[1], push.distance - float(found.distance[0]))
+    return normal[0] * moves[0] + normal[1] * moves[1], push.distance - float(found.distance[0])
 
 
 def _rates_at_speed(knots: FloatArray, limits: MotionLimits, speed: float) -> FloatArray:
@@ -485,7 +518,7 @@ class _Program:
         return bool(np.all(np.abs(gears.curvature) <= slack * self.most) and np.all(rates <= slack * self.most_rates))
 
     def with_least_change(
-        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: list[_Contact], *, shortens: bool
+        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: _Contacts, *, shortens: bool
     ) -> _Gears | None:
         """Return the gears with the change of least cost that closes the gap subject to pushes and bounds, or None."""
         rates, left, curvature = self._rates(gears), self.left, gears.curvature
@@ -503,9 +536,7 @@ class _Program:
         rows[at, owner] = -rates  # the same turn over a longer gear
         most = np.minimum(self.most_rates, UNBOUNDED)
         lower[self.size + at], upper[self.size + at] = -most - rates, most - rates
-        for row, contact in enumerate(contacts, self.pushed):
-            rows[row] = contact.moves
-            lower[self.size + row] = contact.short
+        rows[self.pushed :], lower[self.size + self.pushed :] = contacts
         found = minimizer(QuadraticProgram(self.price, slope, rows, self.bounds, self.size, self.active, self.dense))
         if found is None:
             return None

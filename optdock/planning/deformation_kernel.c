@@ -259,46 +259,55 @@ static double pose_at(int64_t gear, double share, const double *signs, const dou
     return driven;
 }
 
-/* Compute the missing clearance of the robot at a place of the path, and the derivatives of its clearance.
+/* Compute the missing clearances of the robot at places of the path, and the derivatives of its clearances.
  *
- *   gear, share          the place
- *   v, vertices ...      body: (v, 2), its normals (v, 2) and their offsets (v,)
- *   k, x, y ...          obstacle: (k,) each, with its normals and their offsets
- *   distance             required distance [m]; flat: tolerance of corners of an edge along the obstacle [m]
- *   corners              work, (v + k, 2)
- *   found                out, (3, n + m), the derivatives in the first row
- *   missing              out, (1,) [m] */
-int64_t optdock_deformation_contact(int64_t m, int64_t n, int64_t gear, int64_t v, int64_t k, double share,
-                                    double distance, double flat, const double *signs, const double *tails,
-                                    const double *turns, const int64_t *first, const double *knots,
-                                    const double *curvature, const double *borders, const double *at_knots,
-                                    const double *at_nodes, const double *vertices, const double *normals,
-                                    const double *offsets, const double *x, const double *y, const double *normal_x,
-                                    const double *normal_y, const double *piece_offsets, const double *nodes,
-                                    const double *shares, const double *places, const double *weights, double *corners,
-                                    double *found, double *missing)
+ *   k              number of pushes
+ *   size, most     of `numbers`; largest number of corners of a body and its obstacle
+ *   flat           tolerance of corners of an edge along the obstacle [m]
+ *   sizes          (k, 3), gear, corners of the body, v, and of the obstacle, q
+ *   numbers        of each push: share of the gear, required distance [m]; of the body corners (v, 2), normals (v, 2)
+ *                  and their offsets (v,); of the obstacle x, y, normals' x and y, and their offsets, (q,) each
+ *   work           3 (n + m) + 2 most numbers
+ *   found          out, (k, n + m)
+ *   missing        out, (k,) [m] */
+int64_t optdock_deformation_contacts(int64_t m, int64_t n, int64_t k, int64_t size, int64_t most, double flat,
+                                     const double *signs, const double *tails, const double *turns,
+                                     const int64_t *first, const double *knots, const double *curvature,
+                                     const double *borders, const double *at_knots, const double *at_nodes,
+                                     const int64_t *sizes, const double *numbers, const double *nodes,
+                                     const double *shares, const double *places, const double *weights, double *work,
+                                     double *found, double *missing)
 {
-    if (m < 1 || gear < 0 || gear >= m || first[0] != 0 || first[m] != n || v < 1 || k < 1)
+    const double *end = numbers + size;
+    double *moves = work, *corners = moves + 3 * (n + m);
+    if (m < 1 || first[0] != 0 || first[m] != n)
         return -1;
-    double pose[3], point[2];
-    double driven = pose_at(gear, share, signs, tails, turns, first, knots, curvature, borders, at_knots, places,
-                            weights, pose);
-    Polygon body = {v, vertices, vertices + 1, normals, normals + 1, offsets, 2};
-    Polygon obstacle = {k, x, y, normal_x, normal_y, piece_offsets, 1};
-    double cosine = cos(pose[2]), sine = sin(pose[2]);
-    for (int64_t i = 0; i < v; i++) {
-        corners[2 * i] = pose[0] + (cosine * vertices[2 * i] - sine * vertices[2 * i + 1]);
-        corners[2 * i + 1] = pose[1] + (sine * vertices[2 * i] + cosine * vertices[2 * i + 1]);
+    for (int64_t i = 0; i < k; i++) {
+        int64_t gear = sizes[3 * i], v = sizes[3 * i + 1], q = sizes[3 * i + 2];
+        if (gear < 0 || gear >= m || v < 1 || q < 1 || v + q > most || end - numbers < 2 + 5 * (v + q))
+            return -1;
+        double share = numbers[0], distance = numbers[1], pose[3], point[2];
+        const double *own = numbers + 2, *other = own + 5 * v;
+        Polygon body = {v, own, own + 1, own + 2 * v, own + 2 * v + 1, own + 4 * v, 2};
+        Polygon obstacle = {q, other, other + q, other + 2 * q, other + 3 * q, other + 4 * q, 1};
+        double driven = pose_at(gear, share, signs, tails, turns, first, knots, curvature, borders, at_knots, places,
+                                weights, pose);
+        double cosine = cos(pose[2]), sine = sin(pose[2]);
+        for (int64_t j = 0; j < v; j++) {
+            corners[2 * j] = pose[0] + (cosine * own[2 * j] - sine * own[2 * j + 1]);
+            corners[2 * j + 1] = pose[1] + (sine * own[2 * j] + cosine * own[2 * j + 1]);
+        }
+        Gap gap = separation(body, pose[0], pose[1], cosine, sine, corners, obstacle, corners + 2 * v);
+        nearest_point(corners, v, obstacle, gap, flat, point);
+        const double *robot = pose;
+        if (signs[gear] != 0.0 && driven > knots[first[gear + 1] - 1])
+            robot = at_knots + 3 * (first[gear + 1] - 1);
+        optdock_deformation_moves(m, n, gear, point[0], point[1], share, driven, robot[0], robot[1], signs, first,
+                                  knots, curvature, borders, at_knots, at_nodes, nodes, shares, moves);
+        for (int64_t j = 0; j < n + m; j++)
+            found[(n + m) * i + j] = gap.x * moves[j] + gap.y * moves[n + m + j];
+        missing[i] = distance - gap.distance;
+        numbers = other + 5 * q;
     }
-    Gap gap = separation(body, pose[0], pose[1], cosine, sine, corners, obstacle, corners + 2 * v);
-    nearest_point(corners, v, obstacle, gap, flat, point);
-    const double *robot = pose;
-    if (signs[gear] != 0.0 && driven > knots[first[gear + 1] - 1])
-        robot = at_knots + 3 * (first[gear + 1] - 1);
-    optdock_deformation_moves(m, n, gear, point[0], point[1], share, driven, robot[0], robot[1], signs, first, knots,
-                              curvature, borders, at_knots, at_nodes, nodes, shares, found);
-    for (int64_t i = 0; i < n + m; i++)
-        found[i] = gap.x * found[i] + gap.y * found[n + m + i];
-    missing[0] = distance - gap.distance;
     return 0;
 }

@@ -8,11 +8,13 @@ continuity. The following methods are tried in order until a plan is certified:
 2. The old plan, if its remaining path is certified in the new world and ends at the new dock within the dock's
    tolerances.
 3. In the last gear, close to the dock: the robot backs up and approaches again (`backing_up`).
-   Before the last gear: the smoother from the joint, with the rest of the running path as warm start.
+   Before the last gear: the smoother from the joint, with the rest of the running path as warm start, unless the
+   deformation failed at an obstacle.
 4. `plan_dock` from the joint. After its first certified plan it continues only while another plan may be much cheaper.
 
-If nothing is certified in time, the robot brakes along its path. The motion up to the joint can no
-longer be changed, so it is certified first. If this proof fails, the robot brakes immediately.
+Methods 3 and 4 are omitted if it is proven that the robot cannot stop before it comes too close to an obstacle
+(`inevitable_collision`). If nothing is certified in time, the robot brakes along its path. The motion up to the joint
+can no longer be changed, so it is certified first. If this proof fails, the robot brakes immediately.
 """
 
 from __future__ import annotations
@@ -48,6 +50,7 @@ from optdock.model.trajectory import Trajectory
 from optdock.planning.backing_up import backed_up
 from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.deformation import Push, pushes_off
+from optdock.planning.inevitable_collision import inevitable_collision
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, Plugins, plan_dock
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time, sampled_bounds
@@ -261,6 +264,7 @@ class _Replanning:
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
+    is_blocked: bool = False  # whether a deformed path could not be pushed off an obstacle
 
     def answer(self, delay: float) -> Replanned:
         """Return the decision: new, kept or stop."""
@@ -345,6 +349,7 @@ class _Replanning:
             path, _PUSHES, steers=steers, speed=abs(joint.speed), least=least, pushes=pushes, shortens=shortens
         )
         if certificate is None or not certificate.certified:
+            self.is_blocked = certificate is not None or bool(pushes)
             return guess, None
         return guess, self._attempt(stage, guess, functools.partial(work.proven, guess, guess))
 
@@ -352,11 +357,19 @@ class _Replanning:
         """Return a plan that backs up before the dock, or that of the smoothed guess, or None.
 
         The smoother is called only for several gears. In one gear, it refused all of 34 guesses whose deformation had
-        failed.
+        failed. In several gears, it refused all of 16 that could not be pushed off an obstacle, and one of 11 others.
+
+        Raises:
+            FailedToSmoothPath: If every motion from the joint is proven to come too close to an obstacle.
         """
+        inevitable = inevitable_collision(work.problem)
+        if inevitable:
+            raise FailedToSmoothPath(inevitable)
         if isinstance(self.failure, FailedToTimePath):  # a smoothed path could not be timed either
             return None
         if len(guess.segments) > 1:
+            if self.is_blocked:
+                return None
             return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
         again = backed_up(joint, work.problem, joint.braking_distance(work.problem.robot.limits))
         return None if again is None else self._deformed(joint, again, work, shortens=True)[1]

@@ -25,12 +25,13 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.deformation import (
     Push,
-    _contact,
+    _contacts,
     _driven,
     _Gears,
     _moves,
     _Place,
     _pose_at,
+    _Pushes,
     deformed,
     pushes_off,
 )
@@ -263,10 +264,11 @@ def test_contact_has_the_missing_clearance_and_its_derivatives():
         gear = int(rng.integers(gears.signs.size))
         push = random_push(rng, gears, gear, 1.0)  # no piece is driven in part
         drive = _driven(gears, start)
-        contact = _contact(push, gears, drive)
+        pushes = _Pushes.of([push])
+        contacts = _contacts(pushes, gears, drive)
         pose, _ = _pose_at(gears, drive, gear, 1.0)
         distance = separation(push.body, pose[None], push.piece).distance[0]
-        assert contact.short == pytest.approx(push.distance - distance, abs=1e-9)
+        assert contacts.short[0] == pytest.approx(push.distance - distance, abs=1e-9)
         for knot in range(int(gears.first[gear + 1])):
             owner = int(np.searchsorted(gears.first, knot, side="right")) - 1
             if knot == gears.first[owner + 1] - 1 and gears.tails[owner] > 0.0:  # is fixed
@@ -274,8 +276,8 @@ def test_contact_has_the_missing_clearance_and_its_derivatives():
             curvature = gears.curvature.copy()
             curvature[knot] += d
             other = gears._replace(curvature=curvature)
-            change = contact.short - _contact(push, other, _driven(other, start)).short
-            assert contact.moves[knot + owner] == pytest.approx(change / d, abs=1e-3)
+            change = contacts.short[0] - _contacts(pushes, other, _driven(other, start)).short[0]
+            assert contacts.moves[0, knot + owner] == pytest.approx(change / d, abs=1e-3)
 
 
 def test_pushes_are_found_where_the_robot_is_too_close_and_suffice():
@@ -312,7 +314,8 @@ def test_kernels_return_what_their_twins_do():
             gear, share = int(rng.integers(gears.signs.size)), float(rng.choice([0.0, 0.4, 1.0]))
             drive = _driven(gears, start)
             _moves(gears, drive, place_at(gears, drive, gear, share, np.array([0.3, -0.2]))[1])
-            _contact(random_push(rng, gears, gear, share), gears, drive)
+            count = int(rng.integers(1, 4))
+            _contacts(_Pushes.of([random_push(rng, gears, gear, share) for _ in range(count)]), gears, drive)
 
 
 @needs_compiler
