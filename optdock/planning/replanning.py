@@ -357,7 +357,7 @@ class _Replanning:
         """Return a plan that backs up before the dock, or that of the smoothed guess, or None.
 
         The smoother is called only for several gears. In one gear, it refused all of 34 guesses whose deformation had
-        failed. In several gears, it refused all of 16 that could not be pushed off an obstacle, and one of 11 others.
+        failed. In several gears, it refused all of 17 that could not be pushed off an obstacle, and one of 11 others.
 
         Raises:
             FailedToSmoothPath: If every motion from the joint is proven to come too close to an obstacle.
