@@ -200,9 +200,6 @@ class _Contacts(NamedTuple):
     short: FloatArray
 
 
-_NO_CONTACTS = _Contacts(np.zeros((0, 1)), np.zeros(0))
-
-
 def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     path: Path,
     start: Pose2,
@@ -250,8 +247,9 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
         drive = _driven(gears, begin)
         x, y, yaw = drive.borders[-1].tolist()
         gap = goal.x - x, goal.y - y, normalize_angle(goal.yaw - yaw)
-        contacts = _NO_CONTACTS if pushed is None else _contacts(pushed, gears, drive)
-        is_closed = max(map(abs, gap)) <= _CLOSED and max(contacts.short, default=0.0) <= _PUSHED and not shortens
+        contacts = None if pushed is None else _contacts(pushed, gears, drive)
+        is_pushed = contacts is None or contacts.short.max() <= _PUSHED
+        is_closed = max(map(abs, gap)) <= _CLOSED and is_pushed and not shortens
         if is_closed and program.keeps_bounds(gears):
             return gears.path(start, path.frame)
         changed = program.with_least_change(gears, drive, gap, contacts, shortens=shortens)
@@ -518,7 +516,13 @@ class _Program:
         return bool(np.all(np.abs(gears.curvature) <= slack * self.most) and np.all(rates <= slack * self.most_rates))
 
     def with_least_change(
-        self, gears: _Gears, drive: _Drive, gap: tuple[float, float, float], contacts: _Contacts, *, shortens: bool
+        self,
+        gears: _Gears,
+        drive: _Drive,
+        gap: tuple[float, float, float],
+        contacts: _Contacts | None,
+        *,
+        shortens: bool,
     ) -> _Gears | None:
         """Return the gears with the change of least cost that closes the gap subject to pushes and bounds, or None."""
         rates, left, curvature = self._rates(gears), self.left, gears.curvature
@@ -536,7 +540,8 @@ class _Program:
         rows[at, owner] = -rates  # the same turn over a longer gear
         most = np.minimum(self.most_rates, UNBOUNDED)
         lower[self.size + at], upper[self.size + at] = -most - rates, most - rates
-        rows[self.pushed :], lower[self.size + self.pushed :] = contacts
+        if contacts is not None:
+            rows[self.pushed :], lower[self.size + self.pushed :] = contacts
         found = minimizer(QuadraticProgram(self.price, slope, rows, self.bounds, self.size, self.active, self.dense))
         if found is None:
             return None
