@@ -27,6 +27,7 @@ from smoothers.scp.nlp import with_intervals
 from smoothers.scp.qp_step import (
     Linearization,
     Penalties,
+    StepBounds,
     Subproblem,
     numbers_before_rows,
     pool_of_this_thread,
@@ -403,7 +404,7 @@ def track(
         around = around or linearized_tracking(least_squares, current)
         if is_late():
             break
-        step = solve_step(nlp, around, pool, trust_region, settings.proximal, penalties)
+        step = solve_step(nlp, around, pool, StepBounds(trust_region, settings.proximal, penalties))
         if step is None:
             break
         trial = tracked_path(least_squares, current.variables + step.change)

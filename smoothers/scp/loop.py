@@ -21,9 +21,12 @@ from smoothers.scp.collision.clearance_along import clearance_along
 from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
 from smoothers.scp.goal_projection import project_and_roll_out
 from smoothers.scp.qp_step import (
+    NOTHING_ADDED,
+    Additions,
     Linearization,
     Penalties,
     QpStep,
+    StepBounds,
     Subproblem,
     linearize_and_solve_natively,
     pool_of_this_thread,
@@ -46,7 +49,17 @@ if TYPE_CHECKING:
     from smoothers.scp.term_rows import TermsAlong
     from smoothers.scp.visibility_constraint import SeenPlaces
 
-__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "linearized", "linearized_step", "search"]
+__all__ = [
+    "Iterate",
+    "Progress",
+    "SearchGuess",
+    "additions",
+    "evaluated",
+    "judged",
+    "linearized",
+    "linearized_step",
+    "search",
+]
 
 _EVALUATE = Kernel("optdock_evaluate", sizes=1, numbers=0)
 
@@ -179,13 +192,13 @@ def search(
     yield Progress(current, 0, finished=False)
     around: Linearization | None = None
     for iteration in range(1, max_iterations + 1):
-        bounds = pool, state.trust_region, state.proximal, state.penalties
+        within = StepBounds(state.trust_region, state.proximal, state.penalties)
         if around is None:
             state.found = state.found or current.feasible
             buffer = nlp.settings.step.buffer + state.overshoot(current)
-            around, step = linearized_step(current, buffer, *bounds)
+            around, step = linearized_step(current, buffer, additions(current, buffer), pool, within)
         else:
-            step = solve_step(nlp, around, *bounds)
+            step = solve_step(nlp, around, pool, within)
         if is_late():
             return
         finished = current.feasible and step is not None and step.gain < state.settings.small_gain * current.cost
@@ -288,41 +301,25 @@ def _with_view_and_terms(found: Iterate) -> Iterate:
     return Iterate.of(nlp, found.values, found.pairs, view, terms)
 
 
-def linearized_step(
-    current: Iterate,
-    buffer: float,
-    pool: ProgramPool,
-    trust_region: float,
-    proximal: float,
-    penalties: Penalties,
-) -> tuple[Linearization, QpStep | None]:
-    """Return the linearization at an iterate, with a buffer [m] added to the required clearance, and its best step.
-
-    The other arguments are those of `solve_step`.
-    """
-    around, step = _stepped(current, buffer, pool, trust_region, proximal, penalties)
-    complete = _with_rows_of_view_and_terms(current, around, buffer)
-    if complete is around:
-        return around, step
-    return complete, solve_step(current.nlp, complete, pool, trust_region, proximal, penalties)
-
-
 @twin_of(linearize_and_solve_natively)
-def _stepped(
-    current: Iterate,
-    buffer: float,
-    pool: ProgramPool,
-    trust_region: float,
-    proximal: float,
-    penalties: Penalties,
+def linearized_step(
+    current: Iterate, buffer: float, more: Additions, pool: ProgramPool, within: StepBounds
 ) -> tuple[Linearization, QpStep | None]:
-    """Return the result of `linearized_step`, without the required view and terms."""
-    around = _linearized(current, buffer)
-    return around, solve_step(current.nlp, around, pool, trust_region, proximal, penalties)
+    """Return the linearization at an iterate and its best step.
+
+    Args:
+        current: Iterate.
+        buffer: Added to the required clearance [m].
+        more: Result of `additions`.
+        pool: Programs.
+        within: Trust region, proximal weight and penalties.
+    """
+    around = linearized(current, buffer, more)
+    return around, solve_step(current.nlp, around, pool, within)
 
 
-def _linearized(current: Iterate, buffer: float) -> Linearization:
-    """Return the result of `linearized`, without the required view and terms."""
+def linearized(current: Iterate, buffer: float, more: Additions = NOTHING_ADDED) -> Linearization:
+    """Return the linearization of `linearized_step`, whose arguments are the same, by NumPy."""
     nlp = current.nlp
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     variables = current.variables
@@ -334,8 +331,8 @@ def _linearized(current: Iterate, buffer: float) -> Linearization:
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
     rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active).lowest(most)
     quadratic, headings = nlp.cost.quadratic(variables, rollout, by), by.yaw[trusted_nodes(basis, settings)]
-    rows = _buffered(nlp, rollout, rows, buffer)
-    return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows))
+    quadratic, rows = more.to(quadratic, _buffered(nlp, rollout, rows, buffer))
+    return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows.lowest(most)))
 
 
 def _buffered(nlp: NonlinearProgram, rollout: Rollout, rows: ClearanceRows, buffer: float) -> ClearanceRows:
@@ -347,15 +344,10 @@ def _buffered(nlp: NonlinearProgram, rollout: Rollout, rows: ClearanceRows, buff
     return ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
 
 
-def linearized(current: Iterate, buffer: float) -> Linearization:
-    """Return the linearization at an iterate by NumPy, with a buffer [m] added to the required clearance."""
-    return _with_rows_of_view_and_terms(current, _linearized(current, buffer), buffer)
-
-
-def _with_rows_of_view_and_terms(current: Iterate, around: Linearization, buffer: float) -> Linearization:
-    """Return a linearization with the rows of the required view and of terms, and the costs of soft terms, added."""
+def additions(current: Iterate, buffer: float) -> Additions:
+    """Return the rows of the required view and of terms, with a buffer [m], and the costs of soft terms."""
     if current.view is None and current.terms is None:
-        return around
+        return NOTHING_ADDED
     nlp, basis, variables, rollout = current.nlp, current.nlp.basis, current.variables, current.rollout
     by, reach = functools.cache(lambda: sensitivity(basis, variables, rollout)), nlp.settings.view.reach
     seeing = bounded = costs = None
@@ -364,14 +356,8 @@ def _with_rows_of_view_and_terms(current: Iterate, around: Linearization, buffer
     if nlp.terms is not None and current.terms is not None:
         require_numbers(nlp.terms, basis, variables, rollout, current.terms)
         costs, bounded = linearized_terms(nlp.terms, basis, variables, current.terms, by, reach)
-    if seeing is None and bounded is None and costs is None:
-        return around
-    parts = around.parts
-    rows, quadratic = parts.rows, parts.quadratic if costs is None else parts.quadratic.plus(costs)
-    for more in (seeing, bounded):
-        rows = rows if more is None else rows.joined(_buffered(nlp, rollout, more, buffer))
-    rows = rows.lowest(nlp.settings.step.clearance_rows[-1])
-    return Linearization.of(basis, parts._replace(quadratic=quadratic, rows=rows))
+    found = [_buffered(nlp, rollout, rows, buffer) for rows in (seeing, bounded) if rows is not None]
+    return Additions.of(costs, found)
 
 
 def _improved(current: Iterate, around: Linearization, step: QpStep | None, state: _State) -> Iterate | None:

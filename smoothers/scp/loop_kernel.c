@@ -740,23 +740,61 @@ int64_t optdock_step(int64_t rows, int64_t guessed, int64_t last, int64_t rounds
     return found;
 }
 
+/* Add costs and rows to a linearization with `count` rows, of which the `most` with the smallest gaps remain.
+ *
+ *   costs        gradient and Hessian, (size + size^2,), if has_costs
+ *   nodes, rows  nodes, (more,), and gap and gradient of each row, (more, 1 + size)
+ *   node         nodes of all rows, with space for count + more
+ *   ints, work   work: count + more, and twice as many
+ *
+ * Return the number of rows. */
+static int64_t add(const Program *p, int64_t count, int64_t has_costs, const double *costs, int64_t more,
+                   const int64_t *nodes, const double *rows, int64_t *node, Model *to, int64_t *ints, double *work)
+{
+    int64_t width = 1 + p->size, all = count + more;
+    for (int64_t i = 0; has_costs && i < p->size * width; i++)
+        to->gradient[i] += costs[i];
+    if (more == 0)
+        return count;
+    for (int64_t i = 0; i < more; i++)
+        node[count + i] = nodes[i];
+    copy(to->rows + count * width, rows, more * width);
+    for (int64_t i = 0; i < all; i++) {
+        ints[i] = i;
+        work[i] = to->rows[i * width];
+    }
+    count = keep_smallest(work, ints, all, p->n.most, work + all);
+    for (int64_t i = 0; i < count; i++) {
+        node[i] = node[ints[i]];
+        if (ints[i] != i)
+            copy(to->rows + i * width, to->rows + ints[i] * width, width);
+    }
+    return count;
+}
+
 /* Linearize at an iterate and solve the program of a step, as the function `linearized_step`.
  *
  *   pairs, guessed ... guess   see `optdock_linearize` and `optdock_step`
- *   node         out, (most + 1,), nodes of the rows; the last element is the number of rows
- *   model        out, see `Linearization.values`, with space for all rows, at most `most`
+ *   costs, more ... more_rows  what the required view and terms add, see `add`
+ *   node         out, (most + more + 1,), nodes of the rows; the last element is the number of rows
+ *   model        out, see `Linearization.values`, with space for all rows, those that are added and at most `most`
  *   ints, doubles   out and work, see `optdock_step` for `most` rows; at least as large as those of `optdock_linearize`
+ *                   and `add`
  *
  * Return the result of `optdock_step`. */
-int64_t optdock_linearized_step(int64_t pairs, int64_t guessed, int64_t last, int64_t rounds, double buffer,
-                                double trust, double stretch, double proximal, double of_clearance, double of_goal,
-                                double unbounded, double tolerance, double attained, const int64_t *counts,
-                                const double *numbers, const double *basis, const double *scene, double *values,
-                                const int64_t *near, const int64_t *guess, int64_t *node, double *model,
-                                int64_t *ints, double *doubles)
+int64_t optdock_linearized_step(int64_t pairs, int64_t has_costs, int64_t more, int64_t guessed, int64_t last,
+                                int64_t rounds, double buffer, double trust, double stretch, double proximal,
+                                double of_clearance, double of_goal, double unbounded, double tolerance,
+                                double attained, const int64_t *counts, const double *numbers, const double *basis,
+                                const double *scene, double *values, const int64_t *near, const double *costs,
+                                const int64_t *more_nodes, const double *more_rows, const int64_t *guess,
+                                int64_t *node, double *model, int64_t *ints, double *doubles)
 {
-    int64_t *rows = node + program_of(counts, numbers).n.most;
-    *rows = optdock_linearize(pairs, buffer, counts, numbers, basis, scene, values, near, node, model, ints, doubles);
-    return optdock_step(*rows, guessed, last, rounds, trust, stretch, proximal, of_clearance, of_goal, unbounded,
+    Program p = program_of(counts, numbers);
+    Model to = model_of(&p, model);
+    int64_t rows = optdock_linearize(pairs, buffer, counts, numbers, basis, scene, values, near, node, model, ints, doubles);
+    rows = add(&p, rows, has_costs, costs, more, more_nodes, more_rows, node, &to, ints, doubles);
+    node[p.n.most + more] = rows;
+    return optdock_step(rows, guessed, last, rounds, trust, stretch, proximal, of_clearance, of_goal, unbounded,
                         tolerance, attained, counts, numbers, model, node, guess, ints, doubles);
 }

@@ -39,6 +39,8 @@ from smoothers.scp.cost import Quadratic
 from smoothers.scp.rollout import Variables, in_order
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.loop import Iterate
@@ -47,11 +49,14 @@ if TYPE_CHECKING:
     from smoothers.scp.settings import StepSettings
 
 __all__ = [
+    "NOTHING_ADDED",
+    "Additions",
     "Blocks",
     "Linearization",
     "Penalties",
     "ProgramPool",
     "QpStep",
+    "StepBounds",
     "Subproblem",
     "blocks_for",
     "linearize_and_solve_natively",
@@ -68,7 +73,7 @@ __all__ = [
 # With its workspace, a program takes up to 0.35 MB and is built in 0.2 to 0.5 ms.
 _MOST_PROGRAMS = 16
 _KERNEL = Kernel("optdock_step", sizes=4, numbers=8)
-_LINEARIZED = Kernel("optdock_linearized_step", sizes=4, numbers=9)
+_LINEARIZED = Kernel("optdock_linearized_step", sizes=6, numbers=9)
 
 
 class Penalties(NamedTuple):
@@ -76,6 +81,14 @@ class Penalties(NamedTuple):
 
     clearance: float
     goal: float
+
+
+class StepBounds(NamedTuple):
+    """What keeps a step short, and what it pays for violated constraints."""
+
+    trust_region: float  # bound of the heading changes [rad]; times the smallest radius, also of the length changes [m]
+    proximal: float  # weight of the squared motion
+    penalties: Penalties
 
 
 class QpStep(NamedTuple):
@@ -149,6 +162,37 @@ class Subproblem(NamedTuple):
     rows: ClearanceRows  # clearance
 
 
+class Additions(NamedTuple):
+    """What the required view and terms add to a linearization."""
+
+    costs: FloatArray  # gradient and Hessian, Shape (size + size^2,), or nothing, Shape (0,)
+    rows: FloatArray  # gap and gradient of each row, Shape (r, 1 + size)
+    node: IntArray  # nodes of the rows, Shape (r,)
+
+    @classmethod
+    def of(cls, costs: Quadratic | None, rows: Sequence[ClearanceRows]) -> Additions:
+        """Return the additions of a quadratic model, or None, and of sets of rows."""
+        if costs is None and not rows:
+            return NOTHING_ADDED
+        model = NOTHING_ADDED.costs if costs is None else np.concatenate(costs, axis=None)
+        if not rows:
+            return NOTHING_ADDED._replace(costs=model)
+        packed = [np.column_stack((one.gap, one.gradient)) for one in rows]
+        return cls(model, np.concatenate(packed), np.concatenate([one.node for one in rows]))
+
+    def to(self, quadratic: Quadratic, rows: ClearanceRows) -> tuple[Quadratic, ClearanceRows]:
+        """Return a model and rows with the additions."""
+        if self.costs.size:
+            size = quadratic.gradient.size
+            quadratic = quadratic.plus(Quadratic(self.costs[:size], self.costs[size:].reshape(size, size)))
+        if self.node.size:
+            rows = rows.joined(ClearanceRows(self.rows[:, 1:], self.rows[:, 0], self.node))
+        return quadratic, rows
+
+
+NOTHING_ADDED = Additions(readonly(np.empty(0)), readonly(np.empty((0, 1))), readonly(np.empty(0, dtype=np.int64)))
+
+
 class Linearization(NamedTuple):
     """One linearization, which is reused after a rejected step, in the memory of the kernels.
 
@@ -194,12 +238,7 @@ class Linearization(NamedTuple):
 
 
 def solve_natively(
-    nlp: NonlinearProgram,
-    around: Linearization,
-    pool: ProgramPool,
-    trust_region: float,
-    proximal: float,
-    penalties: Penalties,
+    nlp: NonlinearProgram, around: Linearization, pool: ProgramPool, within: StepBounds
 ) -> QpStep | None:
     """Return the result of `solve_step`, whose arguments are the same, by the kernel."""
     packed, count = nlp.packed, around.node.size
@@ -214,20 +253,14 @@ def solve_natively(
         (indices, indices.size),
         (work, work.size),
     )
-    bounds = trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
-    found = _KERNEL((count, guess.size, last, MOST_ROUNDS), bounds, arrays)
+    found = _KERNEL((count, guess.size, last, MOST_ROUNDS), _numbers(nlp, within), arrays)
     if found < 0:
-        return _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
+        return _solve_slowly(step_program(nlp, around, pool, within), around)
     return _kept(nlp, around, pool, work, indices[:found])
 
 
 def linearize_and_solve_natively(
-    current: Iterate,
-    buffer: float,
-    pool: ProgramPool,
-    trust_region: float,
-    proximal: float,
-    penalties: Penalties,
+    current: Iterate, buffer: float, more: Additions, pool: ProgramPool, within: StepBounds
 ) -> tuple[Linearization, QpStep | None]:
     """Return the result of `loop.linearized_step`, whose arguments are the same, by the kernel."""
     nlp, basis, scene = current.nlp, current.nlp.basis, current.nlp.scene
@@ -236,13 +269,15 @@ def linearize_and_solve_natively(
     parts, obstacles = scene.body.vertices.shape[0], scene.obstacles.vertices.shape[0]
     p = (current.pairs.size - nodes) // 3
     rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
-    start = numbers_before_rows(size, packed.trusted)
-    node, values = np.empty(most + 1, dtype=np.int64), np.empty(start + min(most, rows) * (1 + size))
+    start, added, costs = numbers_before_rows(size, packed.trusted), more.node.size, more.costs
+    node, values = np.empty(most + added + 1, dtype=np.int64), np.empty(start + (min(most, rows) + added) * (1 + size))
     guess, last = _guess(pool.latest, nlp, None, packed.columns, packed.rows)
     numbers, integers = _room(packed, most, guess.size)
     work, indices = pool.work(
-        max(numbers, size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width),
-        max(integers, 15 * p + (parts + nodes) * obstacles + 2 * rows),
+        max(
+            numbers, size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width, 2 * (most + added)
+        ),
+        max(integers, 15 * p + (parts + nodes) * obstacles + 2 * rows, most + added),
     )
     arrays = (
         (packed.counts, packed.counts.size),
@@ -251,19 +286,28 @@ def linearize_and_solve_natively(
         (scene.packed, room.scene),
         (current.values, packed.results + 6 + 4 * nodes + room.width * p),
         (current.pairs, nodes + 3 * p),
+        (costs, costs.size),
+        (more.node, added),
+        (more.rows, added * (1 + size)),
         (guess, guess.size),
-        (node, most + 1),
+        (node, most + added + 1),
         (values, values.size),
         (indices, indices.size),
         (work, work.size),
     )
-    bounds = trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
-    found = _LINEARIZED((p, guess.size, last, MOST_ROUNDS), (buffer, *bounds), arrays)
-    count = node.item(most)
+    sizes = p, costs.size, added, guess.size, last, MOST_ROUNDS
+    found = _LINEARIZED(sizes, (buffer, *_numbers(nlp, within)), arrays)
+    count = node.item(most + added)
     around = Linearization(values[: start + count * (1 + size)], node[:count], basis, packed.trusted)
     if found < 0:
-        return around, _solve_slowly(step_program(nlp, around, pool, trust_region, proximal, penalties), around)
+        return around, _solve_slowly(step_program(nlp, around, pool, within), around)
     return around, _kept(nlp, around, pool, work, indices[:found])
+
+
+def _numbers(nlp: NonlinearProgram, within: StepBounds) -> tuple[float, ...]:
+    """Return the numbers that the kernel of a step receives."""
+    trust_region, proximal, penalties = within
+    return trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
 
 
 def numbers_before_rows(size: int, trusted: int) -> int:
@@ -288,26 +332,16 @@ def _kept(
 
 
 @twin_of(solve_natively)
-def solve_step(
-    nlp: NonlinearProgram,
-    around: Linearization,
-    pool: ProgramPool,
-    trust_region: float,
-    proximal: float,
-    penalties: Penalties,
-) -> QpStep | None:
+def solve_step(nlp: NonlinearProgram, around: Linearization, pool: ProgramPool, within: StepBounds) -> QpStep | None:
     """Return the best step within the trust region, or None if both solvers fail.
 
     Args:
         nlp: Bounds and constants.
         around: Linearization.
         pool: Programs.
-        trust_region: Bound of the heading changes [rad]. Multiplied by the smallest radius, it also bounds the length
-            changes [m].
-        proximal: Weight of the squared motion.
-        penalties: Weights of the shortfalls.
+        within: Trust region, proximal weight and penalties.
     """
-    program = step_program(nlp, around, pool, trust_region, proximal, penalties)
+    program = step_program(nlp, around, pool, within)
     found = minimizer(program)
     if found is None:
         return _solve_slowly(program, around)
@@ -330,12 +364,7 @@ def _step_of(solution: FloatArray, around: Linearization) -> QpStep:
 
 
 def step_program(
-    nlp: NonlinearProgram,
-    around: Linearization,
-    pool: ProgramPool,
-    trust_region: float,
-    proximal: float,
-    penalties: Penalties,
+    nlp: NonlinearProgram, around: Linearization, pool: ProgramPool, within: StepBounds
 ) -> QuadraticProgram:
     """Return the program of `solve_step`, whose arguments are the same."""
     basis, settings, spans, parts = nlp.basis, nlp.settings.step, nlp.basis.span_gear.size, around.parts
@@ -352,10 +381,10 @@ def step_program(
     guess = guess[np.abs(guess) <= last]
     program = QuadraticProgram(h.copy(), np.empty(n), np.empty((m, n)), bounds, basis.num_knots, guess, dense)
     program.a[: len(a)] = a
-    _fill_cost(program, blocks, parts, proximal, penalties, settings.ridge)
-    _fill_box(program, blocks, nlp, parts.variables, trust_region * nlp.radius)
+    _fill_cost(program, blocks, parts, within, settings.ridge)
+    _fill_box(program, blocks, nlp, parts.variables, within.trust_region * nlp.radius)
     rows = _Rows(program.a, *bounds[:, n:])
-    _fill_goal_and_trust_region(rows, blocks, parts, trust_region)
+    _fill_goal_and_trust_region(rows, blocks, parts, within.trust_region)
     if is_limited:
         _fill_rate(rows, blocks, nlp, parts.variables)
     _fill_clearance(rows, blocks, parts.rows, zone_of(basis, parts.rows.node, settings.zones))
@@ -387,15 +416,9 @@ def _constant_elements(basis: Basis, rate: float, settings: StepSettings) -> tup
     return readonly(np.diag(diagonal)), readonly(a)
 
 
-def _fill_cost(
-    program: QuadraticProgram,
-    blocks: Blocks,
-    around: Subproblem,
-    proximal: float,
-    penalties: Penalties,
-    ridge: float,
-) -> None:
-    program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
+def _fill_cost(program: QuadraticProgram, blocks: Blocks, around: Subproblem, within: StepBounds, ridge: float) -> None:
+    penalties = within.penalties
+    program.h[blocks.path, blocks.path] = around.quadratic.hessian + within.proximal * around.motion
     np.einsum("ii->i", program.h)[blocks.path] += ridge  # a view, not a copy
     program.g[blocks.path] = around.quadratic.gradient
     program.g[blocks.goal_above] = program.g[blocks.goal_below] = penalties.goal

@@ -15,12 +15,15 @@ from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.collision.linearization import active_pairs
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import driven_path
-from smoothers.scp.loop import evaluated, linearized
+from smoothers.scp.loop import evaluated, linearized, linearized_step
 from smoothers.scp.nlp import Formulation, NonlinearProgram, formulate
 from smoothers.scp.qp_step import (
+    NOTHING_ADDED,
+    Additions,
     Linearization,
     Penalties,
     ProgramPool,
+    StepBounds,
     linearize_and_solve_natively,
     solve_natively,
     solve_step,
@@ -92,8 +95,8 @@ def linearized_in_both_lanes(current, buffer):
     """The linearization by NumPy, after a comparison with that of the kernel."""
     with using_kernels("twin"):
         found = linearized(current, buffer)
-    step = ProgramPool(), 0.2, 1.0, Penalties(300.0, 1000.0)
-    assert bits(found) == bits(linearize_and_solve_natively(current, buffer, *step)[0])
+    step = ProgramPool(), StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))
+    assert bits(found) == bits(linearize_and_solve_natively(current, buffer, NOTHING_ADDED, *step)[0])
     return found
 
 
@@ -118,7 +121,7 @@ def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
         steps = []
         for lane, pool in zip(("twin", "native"), pools, strict=True):
             with using_kernels(lane):
-                steps.append(solve_step(nlp, around, pool, trust_region, proximal, penalties))
+                steps.append(solve_step(nlp, around, pool, StepBounds(trust_region, proximal, penalties)))
         # Of rows that depend on each other, DAQP and the kernel may choose different ones, which changes roundings.
         np.testing.assert_allclose(steps[1].change, steps[0].change, rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(steps[1].gain, steps[0].gain, rtol=1e-11)
@@ -130,9 +133,9 @@ def test_a_step_is_that_of_the_library_daqp(cases, name, seed):
 def test_the_guess_does_not_change_a_step(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
     around = linearized(evaluated(nlp, np.concatenate(variables)), 1e-3)
-    pool, step = ProgramPool(), (0.2, 1.0, Penalties(300.0, 1000.0))
-    first = solve_natively(nlp, around, pool, *step)
-    again = solve_natively(nlp, around, pool, *step)
+    pool, step = ProgramPool(), StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))
+    first = solve_natively(nlp, around, pool, step)
+    again = solve_natively(nlp, around, pool, step)
     np.testing.assert_allclose(again.change, first.change, rtol=0.0, atol=1e-12)
 
 
@@ -140,9 +143,37 @@ def test_the_guess_does_not_change_a_step(cases, name, seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_a_step_is_the_same_in_one_call_with_the_linearization(cases, name, seed):
     nlp, variables = drawn(cases, seed, name)
-    step = 0.2, 1.0, Penalties(300.0, 1000.0)
-    around, found = linearize_and_solve_natively(evaluated(nlp, np.concatenate(variables)), 1e-3, ProgramPool(), *step)
-    assert bits(solve_natively(nlp, around, ProgramPool(), *step)) == bits(found)
+    step = StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))
+    around, found = linearize_and_solve_natively(
+        evaluated(nlp, np.concatenate(variables)), 1e-3, NOTHING_ADDED, ProgramPool(), step
+    )
+    assert bits(solve_natively(nlp, around, ProgramPool(), step)) == bits(found)
+
+
+@pytest.mark.parametrize("name", FOOTPRINTS)
+@pytest.mark.parametrize("added", [0, 1, 20, 60])  # of at most 48 rows
+@pytest.mark.parametrize("has_costs", [False, True])
+def test_added_costs_and_rows_are_those_of_the_twin(cases, name, added, has_costs):
+    nlp, variables = drawn(cases, 3, name)
+    step = dataclasses.replace(nlp.settings.step, clearance_rows=(12, 24, 48))
+    nlp = dataclasses.replace(nlp, settings=dataclasses.replace(nlp.settings, step=step))
+    current, size, rng = evaluated(nlp, np.concatenate(variables)), nlp.basis.size, np.random.default_rng(added)
+    moved = rng.normal(size=(5, size))
+    costs = np.concatenate((rng.normal(size=size), (moved.T @ moved).ravel())) if has_costs else np.empty(0)
+    rows = rng.uniform(-0.1, 0.3, (added, 1 + size)).round(1)  # some gaps are equal
+    rows[:1, 0] = -1.0  # the smallest
+    more = Additions(costs, rows, rng.integers(1, nlp.basis.num_nodes, added))
+    step = ProgramPool(), StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            found.append(linearized_step(current, 1e-3, more, *step))
+    (around, slow), (natively, quick) = found
+    assert bits(around) == bits(natively)
+    assert around.node.size <= 48
+    np.testing.assert_allclose(quick.change, slow.change, rtol=0.0, atol=1e-12)
+    without = linearized_step(current, 1e-3, NOTHING_ADDED, *step)[0]
+    assert (bits(without) == bits(around)) == (added == 0 and not has_costs)
 
 
 @pytest.mark.parametrize("name", FOOTPRINTS)
@@ -178,4 +209,4 @@ def test_a_program_that_no_library_solves_has_no_step(cases):
     around = Linearization.of(nlp.basis, parts._replace(goal=(parts.goal[0], np.full(3, np.nan))))
     for lane in ("twin", "native"):
         with using_kernels(lane):
-            assert solve_step(nlp, around, ProgramPool(), 0.2, 1.0, Penalties(300.0, 1000.0)) is None
+            assert solve_step(nlp, around, ProgramPool(), StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))) is None

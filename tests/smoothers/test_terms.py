@@ -32,6 +32,7 @@ from smoothers.scp.qp_step import (
     Linearization,
     Penalties,
     ProgramPool,
+    StepBounds,
     Subproblem,
     blocks_for,
     step_program,
@@ -161,7 +162,7 @@ def oracle_of(nlp):
 def rate_rows_of_the_step(nlp, around):
     """The rows of the curvature rate in the quadratic program, and their right sides."""
     basis = nlp.basis
-    program = step_program(nlp, around, ProgramPool(), 0.5, 1.0, Penalties(300.0, 3000.0))
+    program = step_program(nlp, around, ProgramPool(), StepBounds(0.5, 1.0, Penalties(300.0, 3000.0)))
     assert minimizer(program) is not None
     blocks = blocks_for(basis, basis.span_gear.size, around.node.size, nlp.settings.step)
     up, down, upper = blocks.rate_up, blocks.rate_down, program.bounds[1, len(program.g) :]
