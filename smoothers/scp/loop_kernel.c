@@ -792,7 +792,8 @@ int64_t optdock_linearized_step(int64_t pairs, int64_t has_costs, int64_t more, 
 {
     Program p = program_of(counts, numbers);
     Model to = model_of(&p, model);
-    int64_t rows = optdock_linearize(pairs, buffer, counts, numbers, basis, scene, values, near, node, model, ints, doubles);
+    int64_t rows = optdock_linearize(pairs, buffer, counts, numbers, basis, scene, values, near, node, model, ints,
+                                     doubles);
     rows = add(&p, rows, has_costs, costs, more, more_nodes, more_rows, node, &to, ints, doubles);
     node[p.n.most + more] = rows;
     return optdock_step(rows, guessed, last, rounds, trust, stretch, proximal, of_clearance, of_goal, unbounded,
