@@ -6,6 +6,7 @@ scene has another fingerprint.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 import time
@@ -83,7 +84,10 @@ class PageSession:
         from tornado.ioloop import IOLoop
 
         self.document = document
-        self._loop = IOLoop.current(instance=False)  # of the server; None without one
+        self._loop: IOLoop | None = None  # of the server; None if no loop is running
+        with contextlib.suppress(RuntimeError):
+            asyncio.get_running_loop()  # `IOLoop.current` would create one
+            self._loop = IOLoop.current()
         self.shown: DrawnPlan | None = None
         self._number, self._doing = 0, ""
         self._named: tuple[int, ...] = ()  # numbers of the obstacles that the answer names
