@@ -89,7 +89,7 @@ def term_points(
     rollout: Rollout,
     reads: Container[str] = SYMBOLS,
 ) -> FloatArray:
-    """Return the values of the symbols at the nodes, those in `reads` at least; others may be 0. Shape (num_nodes, 7)."""
+    """Return the values of the symbols at the nodes, Shape (num_nodes, 7); those that are not in `reads` may be 0."""
     points = np.zeros((basis.num_nodes, len(SYMBOLS)))
     points[:, :2] = rollout.poses[:, :2]
     if "yaw" in reads:
