@@ -195,7 +195,9 @@ def search(
         within = StepBounds(state.trust_region, state.proximal, state.penalties)
         if around is None:
             state.found = state.found or current.feasible
-            buffer = nlp.settings.step.buffer + state.overshoot(current)
+            buffer = nlp.settings.step.buffer
+            if not state.found:
+                buffer += state.overshoot(current)
             around, step = linearized_step(current, buffer, additions(current, buffer), pool, within)
         else:
             step = solve_step(nlp, around, pool, within)
@@ -403,7 +405,7 @@ class _State:
         While a side of the body pivots around the corner of an obstacle, the shortfall hardly changes from step to
         step.
         """
-        return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
+        return current.shortfall if current.shortfall < self.settings.overshot else 0.0
 
     def accept(self) -> None:
         """Enlarge the trust region after an accepted step, unless a longer step was rejected just before."""

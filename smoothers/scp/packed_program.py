@@ -9,7 +9,7 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from smoothers.scp.collision.clearance_along import Room
 from smoothers.scp.collision.linearization import small_obstacles
-from smoothers.scp.qp_step import trusted_nodes
+from smoothers.scp.qp_step import numbers_before_rows, trusted_nodes
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -29,6 +29,8 @@ class PackedProgram(NamedTuple):
     trusted: int  # number of headings that the trust region bounds
     columns: int  # variables of a step: knots, gears and slacks
     rows: int  # constraints of a step before those of clearance
+    before_rows: int  # numbers of `Linearization.values` before the rows
+    of_step: tuple[int, int]  # numbers and integers that the kernel of a step needs, without the guess
 
 
 def packed(nlp: NonlinearProgram) -> PackedProgram:
@@ -58,7 +60,10 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     columns, rows = basis.size + 6 + step.zones, 3 + trusted.size + (2 * basis.span_gear.size if is_limited else 0)
     room = Room.of(scene, basis)
     work = max(room.work, 12 * basis.size + results)
-    return PackedProgram(readonly(counts), readonly(numbers), room, results, work, trusted.size, columns, rows)
+    before, n, m = numbers_before_rows(basis.size, trusted.size), columns, rows + most
+    of_step = (n + 1) * (2 * n + 7) + 19 * n + 10 * n * n + m * n + 4 * m, 5 * n + 6 * m + 1
+    arrays = readonly(counts), readonly(numbers)
+    return PackedProgram(*arrays, room, results, work, trusted.size, columns, rows, before, of_step)
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from smoothers.scp.basis import Basis
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import NonlinearProgram, VariableBounds
-    from smoothers.scp.packed_program import PackedProgram
     from smoothers.scp.settings import StepSettings
 
 __all__ = [
@@ -243,17 +242,20 @@ def solve_natively(
     """Return the result of `solve_step`, whose arguments are the same, by the kernel."""
     packed, count = nlp.packed, around.node.size
     guess, last = _guess(pool.latest, nlp, around, packed.columns, packed.rows)
-    work, indices = pool.work(*_room(packed, count, guess.size))
+    numbers, integers = packed.of_step
+    work, indices = pool.work(numbers, integers + guess.size)
     arrays = (
         (packed.counts, packed.counts.size),
         (packed.numbers, packed.numbers.size),
-        (around.values, around.start + count * (1 + nlp.basis.size)),
+        (around.values, packed.before_rows + count * (1 + nlp.basis.size)),
         (around.node, count),
         (guess, guess.size),
         (indices, indices.size),
         (work, work.size),
     )
-    found = _KERNEL((count, guess.size, last, MOST_ROUNDS), _numbers(nlp, within), arrays)
+    trust_region, proximal, penalties = within
+    bounds = trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
+    found = _KERNEL((count, guess.size, last, MOST_ROUNDS), bounds, arrays)
     if found < 0:
         return _solve_slowly(step_program(nlp, around, pool, within), around)
     return _kept(nlp, around, pool, work, indices[:found])
@@ -269,15 +271,15 @@ def linearize_and_solve_natively(
     parts, obstacles = scene.body.vertices.shape[0], scene.obstacles.vertices.shape[0]
     p = (current.pairs.size - nodes) // 3
     rows, discs = (3 + 2 * scene.settings.discs_per_node) * p, scene.settings.most_discs
-    start, added, costs = numbers_before_rows(size, packed.trusted), more.node.size, more.costs
+    start, added, costs = packed.before_rows, more.node.size, more.costs
     node, values = np.empty(most + added + 1, dtype=np.int64), np.empty(start + (min(most, rows) + added) * (1 + size))
     guess, last = _guess(pool.latest, nlp, None, packed.columns, packed.rows)
-    numbers, integers = _room(packed, most, guess.size)
+    numbers, integers = packed.of_step
     work, indices = pool.work(
         max(
             numbers, size * (3 * nodes + 4) + rows * (size + 2) + 3 * discs + 9 * p + 2 * room.width, 2 * (most + added)
         ),
-        max(integers, 15 * p + (parts + nodes) * obstacles + 2 * rows, most + added),
+        max(integers + guess.size, 15 * p + (parts + nodes) * obstacles + 2 * rows, most + added),
     )
     arrays = (
         (packed.counts, packed.counts.size),
@@ -296,7 +298,9 @@ def linearize_and_solve_natively(
         (work, work.size),
     )
     sizes = p, costs.size, added, guess.size, last, MOST_ROUNDS
-    found = _LINEARIZED(sizes, (buffer, *_numbers(nlp, within)), arrays)
+    trust_region, proximal, penalties = within
+    bounds = trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
+    found = _LINEARIZED(sizes, (buffer, *bounds), arrays)
     count = node.item(most + added)
     around = Linearization(values[: start + count * (1 + size)], node[:count], basis, packed.trusted)
     if found < 0:
@@ -304,21 +308,9 @@ def linearize_and_solve_natively(
     return around, _kept(nlp, around, pool, work, indices[:found])
 
 
-def _numbers(nlp: NonlinearProgram, within: StepBounds) -> tuple[float, ...]:
-    """Return the numbers that the kernel of a step receives."""
-    trust_region, proximal, penalties = within
-    return trust_region, trust_region * nlp.radius, proximal, *penalties, UNBOUNDED, EXACT, AT_BOUND
-
-
 def numbers_before_rows(size: int, trusted: int) -> int:
     """Return how many numbers of `Linearization.values` precede the rows."""
     return size * (2 * size + 5 + trusted) + 3
-
-
-def _room(packed: PackedProgram, count: int, guessed: int) -> tuple[int, int]:
-    """Return how many numbers and integers the kernel needs for `count` rows of clearance."""
-    n, m = packed.columns, packed.rows + count
-    return (n + 1) * (2 * n + 7) + 17 * n + 10 * n * n + m * n + 2 * n + 4 * m, 5 * n + 6 * m + 1 + guessed
 
 
 def _kept(

@@ -117,12 +117,6 @@ class Call(NamedTuple):
         """Problem of the whole path, whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
-    @property
-    def bounds_places(self) -> bool:
-        """Whether poses are bounded by more than the clearance: by a required view or hard terms."""
-        hard = () if self.terms is None else self.terms.hard
-        return self.whole.required_view is not None or any(term.function.reads for term in hard)
-
     def judged(self, path: Path, is_late: Callable[[], bool]) -> PathVerdict:
         """Return the verdict on a path; for a piece, violations that concern ends of the whole path are removed."""
         certificate = certify_path(path, self.whole, is_late=is_late)
@@ -417,7 +411,8 @@ class Solver:
         chosen = Formulation(weights, spans, coarser * interval)
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
-        settings = self.settings.goal_first if call.bounds_places else self.settings
+        is_bounded = call.whole.required_view is not None or (call.terms is not None and call.terms.bounds_places)
+        settings = self.settings.goal_first if is_bounded else self.settings
         nlp = formulate(call.path, call.problem, scene, chosen, lengths, settings, look=self._raise_if_late)
         nlp = _with_view_and_terms(nlp, call)
         self.times.expect(nlp, self.pool.pace if clock_name() != "counted" else 1.0)

@@ -67,6 +67,11 @@ class TermSet:
         return frozenset[str]().union(*(term.function.reads for term in (*self.hard, *self.soft)))
 
     @cached_property
+    def bounds_places(self) -> bool:
+        """Whether a hard term depends on a symbol."""
+        return bool(self.only_hard.reads)
+
+    @cached_property
     def only_hard(self) -> TermSet:
         """The set of the hard terms."""
         return TermSet(self.hard, ()) if self.soft else self
