@@ -15,7 +15,7 @@ from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.collision.linearization import active_pairs
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import driven_path
-from smoothers.scp.loop import evaluated, linearized, linearized_step
+from smoothers.scp.loop import evaluated, linearized
 from smoothers.scp.nlp import Formulation, NonlinearProgram, formulate
 from smoothers.scp.qp_step import (
     NOTHING_ADDED,
@@ -163,16 +163,13 @@ def test_added_costs_and_rows_are_those_of_the_twin(cases, name, added, has_cost
     rows = rng.uniform(-0.1, 0.3, (added, 1 + size)).round(1)  # some gaps are equal
     rows[:1, 0] = -1.0  # the smallest
     more = Additions(costs, rows, rng.integers(1, nlp.basis.num_nodes, added))
-    step = ProgramPool(), StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))
-    found = []
-    for lane in ("twin", "native"):
-        with using_kernels(lane):
-            found.append(linearized_step(current, 1e-3, more, *step))
-    (around, slow), (natively, quick) = found
+    with using_kernels("twin"):
+        around, without = linearized(current, 1e-3, more), linearized(current, 1e-3)
+    within = StepBounds(0.2, 1.0, Penalties(300.0, 1000.0))
+    natively, step = linearize_and_solve_natively(current, 1e-3, more, ProgramPool(), within)
     assert bits(around) == bits(natively)
+    assert bits(solve_natively(nlp, around, ProgramPool(), within)) == bits(step)
     assert around.node.size <= 48
-    np.testing.assert_allclose(quick.change, slow.change, rtol=0.0, atol=1e-12)
-    without = linearized_step(current, 1e-3, NOTHING_ADDED, *step)[0]
     assert (bits(without) == bits(around)) == (added == 0 and not has_costs)
 
 
