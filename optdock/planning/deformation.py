@@ -170,7 +170,7 @@ class Push(NamedTuple):
 
 
 class _Pushes(NamedTuple):
-    """Pushes, k in number, also in the form for the kernel.
+    """k pushes, and the same pushes as arrays for the kernel.
 
     `sizes`: gear, and numbers of corners of body and obstacle, Shape (k, 3). `numbers`: share, distance, and the arrays
     of body and obstacle of each, one after the other, Shape (p,). `corners`: largest sum of both numbers of corners.
@@ -183,7 +183,7 @@ class _Pushes(NamedTuple):
 
     @classmethod
     def of(cls, pushes: Sequence[Push]) -> _Pushes | None:
-        """Return the pushes in this form; None if there are none."""
+        """Return the pushes with their arrays for the kernel, or None if there are no pushes."""
         if not pushes:
             return None
         sizes = np.array([(one.gear, len(one.body.vertices), len(one.piece.x)) for one in pushes], dtype=np.int64)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.obstacles import in_words
-from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
-from optdock.timing.start_states import full_stop
+from optdock.timing.jerk_phases import MotionState
+from optdock.timing.start_states import stopping_distance
 from optdock.verification import compiled_clearances
 
 if TYPE_CHECKING:
@@ -38,9 +38,7 @@ def inevitable_collision(problem: DockingProblem) -> str:
     if problem.start_speed == 0.0 or bend is None or not math.isfinite(limits.max_curvature_rate):
         return ""
     gear = int(math.copysign(1.0, problem.start_speed))
-    bounds = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
-    start = MotionState(0.0, *problem.start_state(gear))
-    least = Motion.of(start, full_stop(start, bounds)).end.s
+    least = stopping_distance(MotionState(0.0, *problem.start_state(gear)), limits)
     s = np.linspace(0.0, least, 2 + int(least / _SPACING))
     yaw = problem.start.yaw + bend * s
     along, middle = gear * s * np.sinc(bend * s / (2.0 * math.pi)), 0.5 * (problem.start.yaw + yaw)

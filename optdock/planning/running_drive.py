@@ -16,8 +16,8 @@ from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.model.trajectory import Trajectory
-from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
-from optdock.timing.start_states import full_stop
+from optdock.timing.jerk_phases import DriveBounds, MotionState
+from optdock.timing.start_states import full_stop, stopping_distance
 from optdock.verification import (
     TOLERANCE,
     WayVerdict,
@@ -105,9 +105,8 @@ class BranchPoint:
         """Return the distance of full braking with a margin [m], 0 during a turn in place."""
         if self.gear == 0 or self.rests:
             return 0.0
-        bounds = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
         start = MotionState(0.0, abs(self.speed), self.acceleration * self.gear)
-        return _BRAKING_ROOM * Motion.of(start, full_stop(start, bounds)).end.s
+        return _BRAKING_ROOM * stopping_distance(start, limits)
 
 
 class RunningDrive:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits
     from optdock.timing.path_limits import PathLimits
 
-__all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start"]
+__all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start", "stopping_distance"]
 
 NO_DISTANCE = 1e-9  # [m]: a shorter remainder of a segment needs no plan
 _PERIOD = 0.004  # [s]: sampling period of full braking
@@ -32,6 +32,12 @@ _PERIOD = 0.004  # [s]: sampling period of full braking
 def full_stop(start: MotionState, bounds: DriveBounds) -> Phases:
     """Return full braking to rest; see `braking_phases`."""
     return braking_phases(start.v, start.a, bounds.deceleration, bounds.jerk)
+
+
+def stopping_distance(start: MotionState, limits: MotionLimits) -> float:
+    """Return the distance of full braking to rest [m]."""
+    bounds = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
+    return Motion.of(start, full_stop(start, bounds)).end.s
 
 
 class Braking:

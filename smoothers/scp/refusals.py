@@ -266,6 +266,8 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
     if broken is not None:
         message = f"{broken[1]} at the start, where every path begins"
         return Refusal("term", 0.0, broken[2], "", message, points[0, :3], {"term": broken[3]})
+    if after is None:
+        return None
     broken = _lowest(terms, values[1:], {*fixed, "remaining", *(["curvature"] if straight > 0.0 else [])})
     if broken is None:
         return None
@@ -278,8 +280,6 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
 
 def _lowest(terms: TermSet, values: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
     """Return the row, a sentence, the amount and the name of the first violated hard term that reads only `known`."""
-    if not (values < -_TOLERANCE).any():
-        return None
     for k, term in enumerate(terms.hard):
         row = int(np.argmin(values[:, k]))
         value = float(values[row, k])
