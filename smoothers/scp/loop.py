@@ -286,20 +286,19 @@ def _with_view_and_terms(found: Iterate) -> Iterate:
     if nlp.view is None and nlp.terms is None:
         return found
     variables, rollout, allowance = found.variables, found.rollout, nlp.settings.loop.end_allowance
-    short, cost, view, terms = np.full(basis.num_nodes, -np.inf), found.cost, None, None
-    if nlp.terms is not None:
-        terms = terms_along(nlp.terms, basis, variables, rollout)
-        short, cost = terms.short.copy(), cost + terms.cost
-    if nlp.view is not None:
-        view = view_along(nlp.view, basis, variables, rollout)
-        np.maximum.at(short, view.node, -view.margin.min(axis=0, initial=np.inf))
-    short[0] -= allowance  # the end poses are given, as in `_judged`
-    short[-1] -= allowance
-    if short.max() <= 0.0 and cost == found.cost:
-        return found._replace(view=view, terms=terms)
+    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, variables, rollout)
+    view = None if nlp.view is None else view_along(nlp.view, basis, variables, rollout)
     end, zones = nlp.packed.results, found.zones
-    np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
-    found.values[end : end + 3] = cost, zones.max(), in_order(zones)
+    if terms is not None:
+        found.values[end] += terms.cost
+    if view is not None or (terms is not None and terms.worst > 0.0):
+        short = np.full(basis.num_nodes, -np.inf) if terms is None else terms.short.copy()
+        if view is not None:
+            np.maximum.at(short, view.node, -view.margin.min(axis=0, initial=np.inf))
+        short[0] -= allowance  # the end poses are given, as in `_judged`
+        short[-1] -= allowance
+        np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
+        found.values[end + 1 : end + 3] = zones.max(), in_order(zones)
     return Iterate.of(nlp, found.values, found.pairs, view, terms)
 
 
@@ -348,16 +347,16 @@ def _buffered(nlp: NonlinearProgram, rollout: Rollout, rows: ClearanceRows, buff
 
 def additions(current: Iterate, buffer: float) -> Additions:
     """Return the rows of the required view and of terms, with a buffer [m], and the costs of soft terms."""
-    if current.view is None and current.terms is None:
+    if current.view is None and (current.terms is None or not current.terms.acts):
         return NOTHING_ADDED
     nlp, basis, variables, rollout = current.nlp, current.nlp.basis, current.variables, current.rollout
-    by, reach = functools.cache(lambda: sensitivity(basis, variables, rollout)), nlp.settings.view.reach
     seeing = bounded = costs = None
     if nlp.view is not None and current.view is not None:
-        seeing = linearized_view(nlp.view, basis, rollout, by, current.view, reach)
-    if nlp.terms is not None and current.terms is not None:
+        by = functools.cache(lambda: sensitivity(basis, variables, rollout))
+        seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
+    if nlp.terms is not None and current.terms is not None and current.terms.acts:
         require_numbers(nlp.terms, basis, variables, rollout, current.terms)
-        costs, bounded = linearized_terms(nlp.terms, basis, variables, current.terms, by, reach)
+        costs, bounded = linearized_terms(nlp.terms, basis, variables, rollout, current.terms)
     found = [_buffered(nlp, rollout, rows, buffer) for rows in (seeing, bounded) if rows is not None]
     return Additions.of(costs, found)
 

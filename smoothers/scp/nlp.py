@@ -210,7 +210,7 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
     headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
     traced = TracedInput(positions, headings, nlp.traced.end_yaw)
     cost = replace(nlp.cost, basis=basis, reference=InputNodes(positions, normals))
-    terms = None if nlp.terms is None else replace(nlp.terms, margins=0.0)
+    terms = None if nlp.terms is None else replace(nlp.terms, margins=None)
     return replace(nlp, basis=basis, cost=cost, traced=traced, terms=terms)
 
 

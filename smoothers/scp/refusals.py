@@ -249,18 +249,15 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
     """
     if not terms.hard:
         return None
-    goal, straight, fixed = problem.goal, problem.dock.final_straight, {"x", "y", "yaw", "gear"}
-    first, last = int(path.segments[0].direction), int(path.segments[-1].direction)
-    count = 0 if after is None else max(1, math.ceil(straight / SPACING)) + 1
-    back, points = np.linspace(straight, 0.0, count), np.zeros((1 + count, len(SYMBOLS)))
-    points[0, :4] = *problem.start.as_array(), problem.start_curvature or 0.0
-    points[0, 6] = first
-    points[1:, 0] = goal.x - last * back * math.cos(goal.yaw)
-    points[1:, 1] = goal.y - last * back * math.sin(goal.yaw)
-    points[1:, 2], points[1:, 5], points[1:, 6] = goal.yaw, back + (after or 0.0), last
-    points[:, 2] = wrap_angles(points[:, 2])
+    start, goal, straight = problem.start, problem.goal, problem.dock.final_straight
+    first, last, fixed = int(path.segments[0].direction), int(path.segments[-1].direction), {"x", "y", "yaw", "gear"}
+    steps = 0 if after is None else max(1, math.ceil(straight / SPACING))
+    back, points = straight / max(1, steps) * np.arange(steps, -1, -1), np.empty((2 + steps, len(SYMBOLS)))
+    at_start, at_goal = wrap_angles(np.array((start.yaw, goal.yaw))).tolist()
+    points[0] = start.x, start.y, at_start, problem.start_curvature or 0.0, 0.0, 0.0, first
+    away = -last * math.cos(goal.yaw), -last * math.sin(goal.yaw), 0.0, 0.0, 0.0, 1.0, 0.0
+    points[1:] = back[:, None] * away + (goal.x, goal.y, at_goal, 0.0, 0.0, after or 0.0, last)
     values = terms.only_hard.values(points)
-    values[np.isnan(values)] = -np.inf
     known = fixed if problem.start_curvature is None else {*fixed, "curvature"}
     broken = _lowest(terms, values[:1], known)
     if broken is not None:
@@ -281,9 +278,11 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
 def _lowest(terms: TermSet, values: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
     """Return the row, a sentence, the amount and the name of the first violated hard term that reads only `known`."""
     for k, term in enumerate(terms.hard):
-        row = int(np.argmin(values[:, k]))
-        value = float(values[row, k])
-        if term.function.reads <= known and value < -_TOLERANCE:
+        if not term.function.reads <= known:
+            continue
+        row = values[:, k].argmin().item()  # of the first that is not a number, if any is
+        value = -math.inf if math.isnan(values.item(row, k)) else values.item(row, k)
+        if value < -_TOLERANCE:
             return row, f"the term {term.name!r} is {value:.4g}, must be >= 0,", -value, term.name
     return None
 

@@ -575,7 +575,8 @@ def _with_view_and_terms(nlp: NonlinearProgram, call: Call) -> NonlinearProgram:
         return nlp
     view = None if seen is None else ViewBound(seen, call.whole, nlp.ends.signs, after)
     bend = 2.0 * float(nlp.bounds.upper[: nlp.basis.num_knots].max())
-    bound = None if terms is None else TermBound(terms, nlp.ends.signs, call.before, after, bend)
+    reach = nlp.settings.view.reach
+    bound = None if terms is None else TermBound(terms, nlp.ends.signs, call.before, after, reach, bend)
     return replace(nlp, view=view, terms=bound)
 
 

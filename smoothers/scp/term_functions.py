@@ -2,8 +2,7 @@
 
 All terms of a smoother are one function of a point, which is mapped over blocks of points. The functions are built once
 per thread and set of terms, in 2 to 5 ms, and share their buffers with NumPy arrays. A block of 64 points with
-derivatives takes 2 to 6 us per term, less than the copies around it. Code in C would save nothing, so none is
-generated.
+derivatives takes 2 to 6 us per term. Code in C would save little of that, so none is generated.
 """
 
 from __future__ import annotations
@@ -21,8 +20,6 @@ from optdock.geometry.lazy import cached_property
 from smoothers.terms import SYMBOLS, HardTerm, PathTerm, SoftTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import casadi
 
     from optdock.geometry.arrays import FloatArray
@@ -48,18 +45,16 @@ class TermSet:
 
         A value that is not finite is NaN. Columns of symbols that are not in `reads` may have any value.
         """
-        return self._functions.values(points, self._parameters)
+        functions = self._functions
+        blocks = functions.samples if len(points) > 2 * _LARGE_BLOCK else functions.nodes
+        return blocks.evaluated(points, self._parameters)
 
-    def with_slopes(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the values, Shape (n, terms), and their derivatives by the symbols, Shape (n, `DERIVATIVES`, terms).
+    def with_slopes(self, points: FloatArray) -> FloatArray:
+        """Return the values of all terms, followed by their derivatives by each symbol in turn.
 
-        A derivative that is not finite at a kink is 0.
+        Shape (n, (1 + `DERIVATIVES`) terms). A derivative may be not finite at a kink.
         """
-        values, slopes = self._functions.with_slopes(points, self._parameters)
-        finite = np.isfinite(slopes)
-        if not finite.all():
-            slopes[~finite] = 0.0
-        return values, slopes
+        return self._functions.nodes_with_slopes.evaluated(points, self._parameters)
 
     @cached_property
     def reads(self) -> frozenset[str]:
@@ -75,6 +70,11 @@ class TermSet:
     def only_hard(self) -> TermSet:
         """The set of the hard terms."""
         return TermSet(self.hard, ()) if self.soft else self
+
+    @cached_property
+    def count(self) -> int:
+        """Number of terms."""
+        return len(self.hard) + len(self.soft)
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -138,66 +138,64 @@ class TermFunctions:
         value, hidden = (casadi.densify(casadi.vertcat(*column)) for column in zip(*found, strict=True))
         slopes = casadi.densify(casadi.jacobian(value, point[:DERIVATIVES]))
         shown = value + zero * (value + hidden)
-        self.count = len(functions)
         self._one = casadi.Function("value", [point, parameters], [shown])
         self._one_with_slopes = casadi.Function(
             "both", [point, parameters], [casadi.vertcat(shown, casadi.vec(slopes))]
         )
 
     @cached_property
-    def _nodes(self) -> _Blocks:
+    def nodes(self) -> _Blocks:
+        """The values, at few points."""
         return _Blocks(self._one, _BLOCK)
 
     @cached_property
-    def _samples(self) -> _Blocks:
+    def samples(self) -> _Blocks:
+        """The values, at many points."""
         return _Blocks(self._one, _LARGE_BLOCK)
 
     @cached_property
-    def _nodes_with_slopes(self) -> _Blocks:
+    def nodes_with_slopes(self) -> _Blocks:
+        """The values and then the derivatives."""
         return _Blocks(self._one_with_slopes, _BLOCK)
-
-    def values(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
-        """Return the values at points, Shape (n, 7), or NaN where they are not finite. Shape (n, terms)."""
-        blocks = self._samples if len(points) > 2 * _LARGE_BLOCK else self._nodes
-        return blocks.evaluated(points, parameters)
-
-    def with_slopes(self, points: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the values, Shape (n, terms), and derivatives, Shape (n, `DERIVATIVES`, terms)."""
-        found = self._nodes_with_slopes.evaluated(points, parameters)
-        return found[:, : self.count], found[:, self.count :].reshape(-1, DERIVATIVES, self.count)
 
 
 class _Blocks:
-    """A function of a point and of parameters, evaluated at blocks of points in its own buffers."""
+    """A function of a point and of parameters, evaluated at blocks of points in its own memory."""
 
     def __init__(self, function: casadi.Function, size: int) -> None:
         mapped = function.map("blocks", "serial", size, [1], [])
         if size * function.n_instructions() <= _MOST_UNROLLED:  # one list of instructions is ten times faster
             mapped = mapped.expand()
-        self._points = np.zeros((size, function.size1_in(0)))
+        self._mapped, self._size = mapped, size
         self._parameters = np.zeros(function.size1_in(1))
-        self._results = np.zeros((size, function.nnz_out(0)))
-        self._buffer, self._run = self._bound(mapped)
+        self._known: FloatArray | None = None  # the array with these parameters
+        self._enlarge(1)
 
-    def _bound(self, mapped: casadi.Function) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
-        buffer, run = mapped.buffer()
-        buffer.set_arg(0, _memory(self._points))  # type: ignore[call-arg]  # the stub declares only the C form
-        buffer.set_arg(1, _memory(self._parameters))  # type: ignore[call-arg]
-        buffer.set_res(0, _memory(self._results))  # type: ignore[call-arg]
-        return buffer, run
+    def _enlarge(self, blocks: int) -> None:
+        """Provide memory for some blocks, each with a buffer that has its addresses."""
+        function, size = self._mapped, self._size
+        self._points = np.zeros((blocks * size, function.size1_in(0)))
+        self._results = np.zeros((blocks * size, function.nnz_out(0) // size))
+        self._buffers = [function.buffer() for _ in range(blocks)]
+        for k, (buffer, _) in enumerate(self._buffers):
+            own = slice(k * size, (k + 1) * size)
+            buffer.set_arg(0, _memory(self._points[own]))  # type: ignore[call-arg]  # the stub declares only the C form
+            buffer.set_arg(1, _memory(self._parameters))  # type: ignore[call-arg]
+            buffer.set_res(0, _memory(self._results[own]))  # type: ignore[call-arg]
 
     def evaluated(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
         """Return the output at the points, one row per point."""
-        self._parameters[:] = parameters
-        size, (_, width) = len(self._points), self._results.shape
-        found = np.empty((len(points), width))
-        for begin in range(0, len(points), size):
-            block = points[begin : begin + size]
-            count = len(block)
-            self._points[:count] = block  # the other points are those of an earlier block
-            self._run()
-            found[begin : begin + count] = self._results[:count]
-        return found
+        count = len(points)
+        blocks = -(-count // self._size)
+        if blocks > len(self._buffers):
+            self._enlarge(2 * blocks)
+        if parameters is not self._known:
+            self._parameters[:], self._known = parameters, parameters
+        self._points[:count] = points  # the points behind are those of an earlier evaluation
+        for _, run in self._buffers[:blocks]:
+            run()
+        results: FloatArray = self._results[:count].copy()
+        return results
 
 
 def _memory(values: FloatArray) -> memoryview:

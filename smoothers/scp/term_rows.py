@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import wrap_angles
+from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.refusals import Refusal
+from smoothers.scp.rollout import sensitivity
 from smoothers.scp.term_samples import samples_of
 from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container
-
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.model.path import Path
     from smoothers.scp.basis import Basis
     from smoothers.scp.rollout import Rollout, Sensitivity, Variables
@@ -42,6 +43,9 @@ __all__ = [
     "tightened",
 ]
 
+_POINTS = Kernel("optdock_term_points", sizes=2, numbers=2)
+_ALONG = Kernel("optdock_terms_along", sizes=4, numbers=2)
+_LINEARIZED = Kernel("optdock_linearized_terms", sizes=7, numbers=3)
 _FLAT = 1e-9  # smaller derivatives by all variables give no row: the start is given
 _TIGHTENED = 1.2  # times the shortfall between nodes
 _MOST_ROWS = 48  # per hard term: the lowest values
@@ -55,8 +59,15 @@ class TermBound:
     signs: FloatArray  # gears, Shape (num_gears,)
     before: float  # distance driven before the first node [m]
     after: float  # distance from the last node to the goal [m]: the final straight, and later pieces of the path
-    bend: float  # largest change of a curvature [1/m]
-    margins: FloatArray | float = 0.0  # values required of the hard terms at the nodes, Shape (num_nodes, hard terms)
+    reach: float  # motion of a node [m, rad] within which a hard term must change its sign to have a row
+    bend: float  # the same for a curvature [1/m]
+    margins: FloatArray | None = None  # values required of the hard terms at the nodes, Shape (num_nodes, hard terms)
+
+    @cached_property
+    def packed(self) -> FloatArray:
+        """Weights of the soft terms, and margins."""
+        weights = self.terms.weights
+        return readonly(weights if self.margins is None else np.concatenate((weights, self.margins), axis=None))
 
 
 class TermsAlong(NamedTuple):
@@ -64,44 +75,90 @@ class TermsAlong(NamedTuple):
 
     cost: float  # of the soft terms
     short: FloatArray  # largest shortfall of the hard terms, Shape (num_nodes,)
-    values: FloatArray  # hard terms minus their margins, soft terms, Shape (num_nodes, terms)
-    slopes: FloatArray  # derivatives by the symbols, see `TermSet.with_slopes`
+    worst: float  # largest of them
+    acts: bool  # whether the linearization has rows or costs
+    # Hard terms minus their margins and soft terms, then their derivatives by each symbol, Shape (num_nodes, 7 terms).
+    table: FloatArray
+
+    @property
+    def values(self) -> FloatArray:
+        """Hard terms minus their margins, soft terms, Shape (num_nodes, terms)."""
+        return self.table[:, : self.table.shape[1] // len(SYMBOLS)]
+
+    @property
+    def slopes(self) -> FloatArray:
+        """Derivatives by the symbols, Shape (num_nodes, 6, terms); 0 if they are not finite."""
+        nodes, width = self.table.shape
+        return self.table[:, width // len(SYMBOLS) :].reshape(nodes, -1, width // len(SYMBOLS))
+
+
+def _term_points_native(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> FloatArray:
+    gears, nodes = basis.num_gears, basis.num_nodes
+    points = np.empty((nodes, len(SYMBOLS)))
+    arrays = (
+        (basis.divisions, 2 * gears),
+        (variables.lengths, gears),
+        (bound.signs, gears),
+        (rollout.packed, 4 * nodes + 6 * basis.num_intervals),
+        (points, points.size),
+    )
+    _POINTS((gears, nodes), (bound.before, bound.after), arrays)
+    return points
+
+
+@twin_of(_term_points_native)
+def term_points(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> FloatArray:
+    """Return the values of the symbols at the nodes, Shape (num_nodes, 7)."""
+    s = bound.before + _done(basis) @ variables.lengths
+    remaining = bound.after + (1.0 - _done(basis)) @ variables.lengths
+    yaw, gear = wrap_angles(rollout.poses[:, 2]), bound.signs[basis.node_gear]
+    return np.column_stack((rollout.poses[:, :2], yaw, rollout.curvature, s, remaining, gear))
 
 
 def terms_along(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> TermsAlong:
     """Return the terms along a path; values that are not finite are infinite costs and shortfalls."""
+    table = bound.terms.with_slopes(term_points(bound, basis, variables, rollout))
+    return _reduced(bound, basis, variables.lengths, table)
+
+
+def _reduced_natively(bound: TermBound, basis: Basis, lengths: FloatArray, table: FloatArray) -> TermsAlong:
+    nodes, hard, terms, out = basis.num_nodes, len(bound.terms.hard), bound.terms.count, np.empty(basis.num_nodes + 2)
+    margins = 0 if bound.margins is None else nodes * hard
+    arrays = (
+        (basis.divisions, 2 * basis.num_gears),
+        (bound.packed, terms - hard + margins),
+        (lengths, basis.num_gears),
+        (table, len(SYMBOLS) * nodes * terms),
+        (out, nodes + 2),
+    )
+    acts = _ALONG((basis.num_gears, hard, terms - hard, margins), (bound.reach, bound.bend), arrays)
+    return TermsAlong(out.item(nodes), out[:nodes], out.item(nodes + 1), acts != 0, table)
+
+
+@twin_of(_reduced_natively, lambda bound, basis, lengths, table: (bound, basis, lengths, table.copy()))
+def _reduced(bound: TermBound, basis: Basis, lengths: FloatArray, table: FloatArray) -> TermsAlong:
+    """Return the terms with the values of `TermSet.with_slopes`, which becomes the table of the result."""
     terms, count = bound.terms, len(bound.terms.hard)
-    values, slopes = terms.with_slopes(term_points(bound, basis, variables, rollout, terms.reads))
-    values[:, :count] -= bound.margins
-    short = -values[:, :count].min(axis=1, initial=np.inf)
-    short[np.isnan(short)] = np.inf
-    if not terms.soft:
-        return TermsAlong(0.0, short, values, slopes)
-    share = node_shares(basis) * variables.lengths[basis.node_gear]
-    cost = float(share @ (values[:, count:] ** 2 @ terms.weights))
-    return TermsAlong(cost if math.isfinite(cost) else math.inf, short, values, slopes)
+    found = TermsAlong(0.0, np.empty(0), -np.inf, acts=False, table=table)
+    values, slopes = found.values, found.slopes
+    slopes[~np.isfinite(slopes)] = 0.0
+    if bound.margins is not None:
+        values[:, :count] -= bound.margins
+    lowest = values[:, :count].min(axis=1, initial=np.inf)
+    short = np.where(np.isnan(lowest), np.inf, -lowest)
+    residuals = values[:, count:]
+    with np.errstate(over="ignore"):
+        cost = float(node_shares(basis) * lengths[basis.node_gear] @ (residuals**2 @ terms.weights))
+    acts = bool(_is_near(bound, found).any() or residuals.any())
+    return TermsAlong(cost if math.isfinite(cost) else math.inf, short, float(short.max()), acts, table)
 
 
-def term_points(
-    bound: TermBound,
-    basis: Basis,
-    variables: Variables,
-    rollout: Rollout,
-    reads: Container[str] = SYMBOLS,
-) -> FloatArray:
-    """Return the values of the symbols at the nodes, Shape (num_nodes, 7); those that are not in `reads` may be 0."""
-    points = np.zeros((basis.num_nodes, len(SYMBOLS)))
-    points[:, :2] = rollout.poses[:, :2]
-    if "yaw" in reads:
-        points[:, 2] = wrap_angles(rollout.poses[:, 2])
-    points[:, 3] = rollout.curvature
-    if "s" in reads:
-        points[:, 4] = bound.before + _done(basis) @ variables.lengths
-    if "remaining" in reads:
-        points[:, 5] = bound.after + (1.0 - _done(basis)) @ variables.lengths
-    if "gear" in reads:
-        points[:, 6] = bound.signs[basis.node_gear]
-    return points
+def _is_near(bound: TermBound, along: TermsAlong) -> BoolArray:
+    """Return whether a hard term can change its sign within a step, Shape (num_nodes, hard terms)."""
+    count = len(bound.terms.hard)
+    within = np.array([bound.reach, bound.reach, bound.reach, bound.bend, bound.reach, bound.reach])
+    near: BoolArray = along.values[:, :count] < (within[:, None] * np.abs(along.slopes[:, :, :count])).sum(axis=1)
+    return near
 
 
 @lru_cache(maxsize=16)  # as `basis_for`, because the key keeps the basis
@@ -119,13 +176,33 @@ def node_shares(basis: Basis) -> FloatArray:
     return readonly(np.where(inner, 1.0, 0.5) / cells[basis.node_gear])
 
 
+def _linearized_natively(
+    bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout, along: TermsAlong
+) -> tuple[Quadratic | None, ClearanceRows | None]:
+    nodes, size, hard, soft = basis.num_nodes, basis.size, len(bound.terms.hard), len(bound.terms.soft)
+    most, work = hard * min(_MOST_ROWS, nodes), (3 * nodes + 5) * size
+    costs, rows, node = np.empty(size + size * size), np.empty((most, 1 + size)), np.empty(most, dtype=np.int64)
+    arrays = (
+        (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
+        (basis.divisions, 2 * basis.num_gears),
+        (np.concatenate(variables), size),
+        (rollout.moves, 4 * basis.num_intervals),
+        (along.table, len(SYMBOLS) * nodes * (hard + soft)),
+        (bound.terms.weights, soft),
+        (costs, costs.size),
+        (rows, rows.size),
+        (node, most),
+        (np.empty(work), work),
+    )
+    sizes = basis.num_gears, basis.num_knots, nodes, basis.num_intervals, hard, soft, _MOST_ROWS
+    found = _LINEARIZED(sizes, (bound.reach, bound.bend, _FLAT), arrays)
+    quadratic = Quadratic(costs[:size], costs[size:].reshape(size, size)) if soft else None
+    return quadratic, ClearanceRows(rows[:found, 1:], rows[:found, 0], node[:found]) if found else None
+
+
+@twin_of(_linearized_natively)
 def linearized_terms(
-    bound: TermBound,
-    basis: Basis,
-    variables: Variables,
-    along: TermsAlong,
-    by: Callable[[], Sensitivity],
-    reach: float,
+    bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout, along: TermsAlong
 ) -> tuple[Quadratic | None, ClearanceRows | None]:
     """Return the quadratic model of the soft terms, and the rows of the hard terms; None where there is nothing.
 
@@ -133,33 +210,30 @@ def linearized_terms(
         bound: Terms.
         basis: Basis.
         variables: Variables of the path.
+        rollout: The path at the nodes.
         along: Terms along the path, finite numbers.
-        by: Returns the derivatives of the poses; only called if a term acts.
-        reach: Motion of a node [m, rad] within which a hard term must change its sign to have a row.
     """
     values, slopes, count = along.values, along.slopes, len(bound.terms.hard)
-    within = np.array([reach, reach, reach, bound.bend, reach, reach])
-    is_near, rows = values[:, :count] < within @ np.abs(slopes[:, :, :count]), list[ClearanceRows]()
-    for k in np.flatnonzero(is_near.any(axis=0)).tolist():
+    by, is_near, rows = sensitivity(basis, variables, rollout), _is_near(bound, along), list[ClearanceRows]()
+    for k in range(count):
         near = np.flatnonzero(is_near[:, k])
-        if near.size > _MOST_ROWS:
-            near = near[np.argpartition(values[near, k], _MOST_ROWS)[:_MOST_ROWS]]
-        gradient = _by_variables(basis, by(), slopes[:, :, k], near)
-        found = ClearanceRows(gradient, values[near, k], near)
-        rows.append(found.subset(np.abs(gradient).max(axis=1, initial=0.0) > _FLAT))
-    share, quadratic = node_shares(basis), None
-    for k in (count + np.flatnonzero(values[:, count:].any(axis=0))).tolist():
-        residual, weight = values[:, k], bound.terms.weights[k - count]
-        used = np.flatnonzero(residual)
-        scale = 2.0 * weight * share[used] * variables.lengths[basis.node_gear[used]]
-        moved = _by_variables(basis, by(), slopes[:, :, k], used)
-        longer = np.bincount(basis.node_gear, weight * share * residual**2, minlength=basis.num_gears)
-        gradient = (scale * residual[used]) @ moved
-        gradient[basis.num_knots :] += longer
-        added = Quadratic(gradient, moved.T @ (scale[:, None] * moved))
-        quadratic = added if quadratic is None else quadratic.plus(added)
+        gradient = _by_variables(basis, by, slopes[:, :, k], near)
+        found = ClearanceRows(gradient, values[near, k], near).lowest(_MOST_ROWS)
+        rows.append(found.subset(np.abs(found.gradient).max(axis=1, initial=0.0) > _FLAT))
+    share = node_shares(basis)
+    gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
+    for k, term_weight in enumerate(bound.terms.weights.tolist(), count):
+        residual, weight = values[:, k], term_weight * share
+        moved = _by_variables(basis, by, slopes[:, :, k], np.arange(basis.num_nodes))
+        scale = np.where(residual != 0.0, 2.0 * weight * variables.lengths[basis.node_gear], 0.0)
+        gradient += (scale * residual) @ moved
+        gradient[basis.num_knots :] += np.bincount(basis.node_gear, weight * residual**2, minlength=basis.num_gears)
+        hessian += moved.T @ (scale[:, None] * moved)
     joined = ClearanceRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True))) if rows else None
-    return quadratic, joined
+    return (
+        Quadratic(gradient, hessian) if bound.terms.soft else None,
+        joined if joined is not None and joined.gap.size else None,
+    )
 
 
 def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) -> TermBound:
@@ -181,11 +255,13 @@ def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) 
     for node in (after - 1, after):
         np.maximum.at(margins, node, _TIGHTENED * short)
     margins[[0, -1]] = 0.0  # the ends are given
-    return replace(bound, margins=bound.margins + margins)
+    return replace(bound, margins=margins if bound.margins is None else bound.margins + margins)
 
 
 def require_numbers(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout, along: TermsAlong) -> None:
     """Raise FailedToSmoothPath if a value is not a finite number: a path with such values is never improved."""
+    if along.cost < np.inf and along.worst < np.inf:
+        return
     finite = np.isfinite(along.values)
     if finite.all():
         return
@@ -198,14 +274,8 @@ def require_numbers(bound: TermBound, basis: Basis, variables: Variables, rollou
 
 def _by_variables(basis: Basis, by: Sensitivity, slopes: FloatArray, node: IntArray) -> FloatArray:
     """Return the derivatives of a term at some nodes with respect to the variables, Shape (n, size)."""
-    slope, knots = slopes[node], basis.num_knots
-    out = np.zeros((len(node), basis.size))
-    for i, column in enumerate((by.x, by.y, by.yaw)):
-        if slope[:, i].any():
-            out += slope[:, i : i + 1] * column[node]
-    if slope[:, 3].any():
-        out[:, :knots] += slope[:, 3:4] * basis.node_curvatures[node]
-    if slope[:, 4:].any():
-        done = _done(basis)[node]
-        out[:, knots:] += slope[:, 4:5] * done + slope[:, 5:6] * (1.0 - done)
+    slope, knots, done = slopes[node], basis.num_knots, _done(basis)[node]
+    out: FloatArray = slope[:, :1] * by.x[node] + slope[:, 1:2] * by.y[node] + slope[:, 2:3] * by.yaw[node]
+    out[:, :knots] += slope[:, 3:4] * basis.node_curvatures[node]
+    out[:, knots:] += slope[:, 4:5] * done + slope[:, 5:6] * (1.0 - done)
     return out

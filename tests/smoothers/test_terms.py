@@ -1,7 +1,6 @@
 """Terms as expressions: their symbols, errors, derivatives, and the symbolic program as the oracle of the search."""
 
 import dataclasses
-import functools
 import math
 import pickle
 import threading
@@ -54,8 +53,8 @@ TERMS = (
 STEP = 1e-6
 
 
-def bound_of(signs, terms=TERMS):
-    return TermBound(term_set(terms), signs, 0.7, 0.4, 3.0)
+def bound_of(signs, terms=TERMS, reach=1e9):
+    return TermBound(term_set(terms), signs, 0.7, 0.4, reach, 3.0)
 
 
 def test_the_symbols_are_those_of_the_path_in_their_order(cases):
@@ -79,7 +78,8 @@ def test_blocks_of_points_are_the_functions_of_the_terms_one_by_one():
     terms, rng = term_set(TERMS), np.random.default_rng(1)
     for count in (1, 63, 64, 65, 200):
         points = rng.normal(size=(count, 7))
-        values, slopes = terms.with_slopes(points)
+        both, known = terms.with_slopes(points), len(TERMS)
+        values, slopes = both[:, :known], both[:, known:].reshape(count, 6, known)
         assert np.array_equal(values, terms.values(points))
         for k, term in enumerate((*terms.hard, *terms.soft)):
             one = term.function.function
@@ -103,8 +103,8 @@ def test_rows_and_gradients_are_those_of_differences(cases, seed):
         return bound.terms.values(points)[:, :3], terms_along(bound, basis, moved, rollout).cost
 
     flat, rollout = np.concatenate(variables), roll_out(basis, variables, start, signs)
-    found, by = terms_along(bound, basis, variables, rollout), functools.partial(sensitivity, basis, variables, rollout)
-    quadratic, rows = linearized_terms(bound, basis, variables, found, by, 1e9)
+    found = terms_along(bound, basis, variables, rollout)
+    quadratic, rows = linearized_terms(bound, basis, variables, rollout, found)
     hard, soft = [], []
     for shift in STEP * np.eye(flat.size):
         (up, above), (down, below) = along(flat + shift), along(flat - shift)
@@ -182,18 +182,19 @@ def test_the_whole_program_is_the_symbolic_one(cases, which, monkeypatch):
         variables = Variables(bends, guess.lengths * rng.uniform(0.9, 1.1, basis.num_gears))
         value, error, rate, hard, gradient, by_goal, by_rate, by_terms = oracle(variables)
         rollout = roll_out(basis, variables, nlp.ends.start, nlp.ends.signs)
-        iterate, by = judged(nlp, variables, rollout, 0.1), functools.partial(sensitivity, basis, variables, rollout)
+        iterate, by = judged(nlp, variables, rollout, 0.1), sensitivity(basis, variables, rollout)
         assert iterate.cost == pytest.approx(value.item(), rel=1e-11)
         assert iterate.end_error == pytest.approx(error.ravel(), abs=1e-9)
-        added, rows = linearized_terms(nlp.terms, basis, variables, iterate.terms, by, 1e9)
-        quadratic = nlp.cost.quadratic(variables, rollout, by()).plus(added)
+        everywhere = dataclasses.replace(nlp.terms, reach=1e9)
+        added, rows = linearized_terms(everywhere, basis, variables, rollout, iterate.terms)
+        quadratic = nlp.cost.quadratic(variables, rollout, by).plus(added)
         assert quadratic.gradient == pytest.approx(gradient.ravel(), rel=1e-9, abs=1e-9)
         goal = end_sensitivity(basis, variables, rollout.moves), iterate.end_error
         assert goal[0] == pytest.approx(by_goal, abs=1e-9)
         kept = np.flatnonzero(np.abs(by_terms).max(axis=1) > 1e-9)
         assert rows.gap == pytest.approx(hard.ravel()[kept], abs=1e-9)
         assert rows.gradient == pytest.approx(by_terms[kept], abs=1e-9)
-        headings = by().yaw[trusted_nodes(basis, nlp.settings.step)]
+        headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
         parts = Subproblem(variables, quadratic, np.eye(basis.size), goal, headings, rows.lowest(400))
         around = Linearization.of(basis, parts)
         made, limits = rate_rows_of_the_step(nlp, around)
@@ -256,7 +257,7 @@ def test_a_number_that_does_not_exist_is_not_hidden_by_minima_and_comparisons(ex
     points[:, 0] = -1.0, 2.0
     terms = term_set([HardTerm("mine", expression)])
     assert np.isnan(terms.values(points)[:, 0]).tolist() == bad
-    assert np.isnan(terms.with_slopes(points)[0][:, 0]).tolist() == bad
+    assert np.isnan(terms.with_slopes(points)[:, 0]).tolist() == bad
 
 
 def test_other_values_need_no_other_functions_and_leave_the_term_as_it_is():
@@ -282,10 +283,10 @@ def test_threads_evaluate_the_same_terms_at_once():
     def work(shift):
         for _ in range(100):
             mine = points + shift
-            values, slopes = terms.with_slopes(mine)
+            others = terms.with_slopes(mine)
             HardTerm("another", lambda p: p.x * p.y)
-            back, _ = terms.with_slopes(points)
-            if not (np.array_equal(back, wanted[0]) and slopes.shape == wanted[1].shape and np.isfinite(values).all()):
+            back = terms.with_slopes(points)
+            if not (np.array_equal(back, wanted) and others.shape == wanted.shape and np.isfinite(others).all()):
                 wrong.append(shift)
 
     threads = [threading.Thread(target=work, args=(0.1 * k,)) for k in range(4)]
