@@ -285,21 +285,19 @@ def _with_view_and_terms(found: Iterate) -> Iterate:
     nlp, basis = found.nlp, found.nlp.basis
     if nlp.view is None and nlp.terms is None:
         return found
-    variables, rollout, allowance = found.variables, found.rollout, nlp.settings.loop.end_allowance
-    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, variables, rollout)
-    view = None if nlp.view is None else view_along(nlp.view, basis, variables, rollout)
-    end, zones = nlp.packed.results, found.zones
+    end, values, zones = nlp.packed.results, found.values, found.zones
+    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, values)
+    view = None if nlp.view is None else view_along(nlp.view, basis, found.variables, found.rollout)
     if terms is not None:
-        found.values[end] += terms.cost
+        values[end] += terms.cost
     if view is not None or (terms is not None and terms.worst > 0.0):
         short = np.full(basis.num_nodes, -np.inf) if terms is None else terms.short.copy()
         if view is not None:
             np.maximum.at(short, view.node, -view.margin.min(axis=0, initial=np.inf))
-        short[0] -= allowance  # the end poses are given, as in `_judged`
-        short[-1] -= allowance
+        short[[0, -1]] -= nlp.settings.loop.end_allowance  # the end poses are given, as in `_judged`
         np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
-        found.values[end + 1 : end + 3] = zones.max(), in_order(zones)
-    return Iterate.of(nlp, found.values, found.pairs, view, terms)
+        values[end + 1 : end + 3] = zones.max(), in_order(zones)
+    return Iterate.of(nlp, values, found.pairs, view, terms)
 
 
 @twin_of(linearize_and_solve_natively)
@@ -355,7 +353,7 @@ def additions(current: Iterate, buffer: float) -> Additions:
         by = functools.cache(lambda: sensitivity(basis, variables, rollout))
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
     if nlp.terms is not None and current.terms is not None and current.terms.acts:
-        require_numbers(nlp.terms, basis, variables, rollout, current.terms)
+        require_numbers(nlp.terms, basis, current.values, current.terms)
         costs, bounded = linearized_terms(nlp.terms, basis, variables, rollout, current.terms)
     found = [_buffered(nlp, rollout, rows, buffer) for rows in (seeing, bounded) if rows is not None]
     return Additions.of(costs, found)
