@@ -133,6 +133,8 @@ def formulate(  # noqa: PLR0913 - a problem, its scene, choices and a clock
     lengths: FloatArray | None,
     settings: Settings,
     *,
+    view: ViewBound | None = None,
+    terms: TermBound | None = None,
     look: Callable[[], None] = lambda: None,
 ) -> NonlinearProgram:
     """Return the nonlinear program that smooths `path` for `problem`.
@@ -144,6 +146,8 @@ def formulate(  # noqa: PLR0913 - a problem, its scene, choices and a clock
         chosen: Weights and resolution.
         lengths: First gear lengths, Shape (num_gears,) [m]; None means the lengths of the input.
         settings: Constants of the method.
+        view: Required view along the path, or None.
+        terms: Costs and constraints of the user, or None.
         look: Checks the deadline; called twice during the basis, which takes a millisecond if its shape is new.
     """
     limits, straight = problem.robot.limits, problem.dock.final_straight
@@ -173,7 +177,7 @@ def formulate(  # noqa: PLR0913 - a problem, its scene, choices and a clock
         _easing(limits, basis, lengths),
     )
     bounds, inner = _variable_bounds(basis, problem, lengths, most, settings.bounds)
-    return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
+    return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings, view, terms)
 
 
 @lru_cache(maxsize=4)

@@ -413,8 +413,10 @@ class Solver:
         lengths = earlier.lengths if earlier is not None else None
         is_bounded = call.whole.required_view is not None or (call.terms is not None and call.terms.bounds_places)
         settings = self.settings.goal_first if is_bounded else self.settings
-        nlp = formulate(call.path, call.problem, scene, chosen, lengths, settings, look=self._raise_if_late)
-        nlp = _with_view_and_terms(nlp, call)
+        view, terms = _bounds_of(call, settings)
+        nlp = formulate(
+            call.path, call.problem, scene, chosen, lengths, settings, view=view, terms=terms, look=self._raise_if_late
+        )
         self.times.expect(nlp, self.pool.pace if clock_name() != "counted" else 1.0)
         return nlp, InitialGuesses(nlp, earlier, self.pool, self.times.no_more_iterations)
 
@@ -568,16 +570,18 @@ class Solver:
         return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
 
 
-def _with_view_and_terms(nlp: NonlinearProgram, call: Call) -> NonlinearProgram:
-    """Return the program with the required view and the terms of the user, if there are any."""
-    seen, terms, after = call.whole.required_view, call.terms, call.problem.dock.final_straight + call.after
+def _bounds_of(call: Call, settings: Settings) -> tuple[ViewBound | None, TermBound | None]:
+    """Return the required view and the terms of the user along the path, if there are any."""
+    seen, terms = call.whole.required_view, call.terms
     if seen is None and terms is None:
-        return nlp
-    view = None if seen is None else ViewBound(seen, call.whole, nlp.ends.signs, after)
-    bend = 2.0 * float(nlp.bounds.upper[: nlp.basis.num_knots].max())
-    reach = nlp.settings.view.reach
-    bound = None if terms is None else TermBound(terms, nlp.ends.signs, call.before, after, reach, bend)
-    return replace(nlp, view=view, terms=bound)
+        return None, None
+    after = call.problem.dock.final_straight + call.after
+    signs = np.array([float(segment.direction) for segment in call.path.segments])
+    bend = 2.0 * min(call.problem.robot.limits.max_curvature, settings.bounds.curvature_cap)
+    return (
+        None if seen is None else ViewBound(seen, call.whole, signs, after),
+        None if terms is None else TermBound(terms, signs, call.before, after, settings.view.reach, bend),
+    )
 
 
 def _more_cautious(nlp: NonlinearProgram, chosen: AnytimeSettings) -> NonlinearProgram:
