@@ -35,7 +35,7 @@ from smoothers.scp.qp_step import (
     zone_of,
 )
 from smoothers.scp.rollout import Rollout, Variables, in_order, sensitivity, squared_motion
-from smoothers.scp.term_rows import linearized_terms, require_numbers, terms_along
+from smoothers.scp.term_rows import linearized_terms, require_numbers, term_points, terms_along
 from smoothers.scp.visibility_constraint import linearized_view, view_along
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ class Iterate(NamedTuple):
 
     The arrays are views of `values` and `pairs`, which are the memory of the kernels. `values` has, in this order:
     variables, roll-out (see `Rollout.packed`), end error, zones, the six numbers `cost` to `moved`, required clearance
-    (nodes,), its gradient (nodes, 2), the requirement by the growth from the start alone (nodes,), and
-    `Clearance.table`. `pairs` has the part of the rule at every node, and `Pairs`.
+    (nodes,), its gradient (nodes, 2), the requirement by the growth from the start alone (nodes,), `Clearance.table`,
+    and `term_points` if the program has terms. `pairs` has the part of the rule at every node, and `Pairs`.
     """
 
     nlp: NonlinearProgram
@@ -146,7 +146,12 @@ class Iterate(NamedTuple):
     def clearance(self) -> Clearance:
         """Near pairs."""
         packed = self.nlp.packed
-        return packed.room.clearance(self.pairs, self.values[packed.results + 6 :])
+        return packed.room.clearance(self.pairs, self.values[packed.results + 6 : self.values.size - packed.points])
+
+    @property
+    def term_points(self) -> FloatArray:
+        """Symbols of the terms at the nodes, see `term_points`; only of a program with terms."""
+        return self.values[-self.nlp.packed.points :].reshape(self.nlp.basis.num_nodes, -1)
 
     @property
     def missing(self) -> float:
@@ -218,7 +223,8 @@ def search(
 def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
     packed, basis, size, nodes = nlp.packed, nlp.basis, nlp.basis.size, nlp.basis.num_nodes
     room, table = packed.room, packed.results + 6 + 4 * nodes
-    pairs, values = np.empty(nodes + 3 * room.pairs, dtype=np.int64), np.empty(table + room.width * room.pairs)
+    pairs = np.empty(nodes + 3 * room.pairs, dtype=np.int64)
+    values = np.empty(table + room.width * room.pairs + packed.points)
     work, indices = pool_of_this_thread().work(packed.work, room.indices)
     earlier = variables if before is None else before.values
     arrays = (
@@ -234,7 +240,7 @@ def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Ite
         (indices, indices.size),
     )
     p = _EVALUATE((before is not None,), (), arrays)
-    return Iterate.of(nlp, values[: table + room.width * p], pairs[: nodes + 3 * p])
+    return Iterate.of(nlp, values[: table + room.width * p + packed.points], pairs[: nodes + 3 * p])
 
 
 @twin_of(_evaluate_natively)
@@ -266,7 +272,8 @@ def _judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach
     cost = nlp.cost.value(variables, rollout)
     results = cost, zones.max(), in_order(zones), in_order(missed), missed.max(), moved
     parts = *variables, rollout.packed, error, zones, np.array(results), required.value, required.gradient
-    values = np.concatenate((*parts, required.leaving, found.table), axis=None)
+    points = () if nlp.terms is None else (term_points(nlp.terms, basis, variables, rollout),)
+    values = np.concatenate((*parts, required.leaving, found.table, *points), axis=None)
     return Iterate.of(nlp, values, np.concatenate((required.rule, *pairs)))
 
 
@@ -285,8 +292,8 @@ def _with_view_and_terms(found: Iterate) -> Iterate:
     nlp, basis = found.nlp, found.nlp.basis
     if nlp.view is None and nlp.terms is None:
         return found
-    end, values, zones = nlp.packed.results, found.values, found.zones
-    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, values)
+    end, values, zones, lengths = nlp.packed.results, found.values, found.zones, found.variables.lengths
+    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, lengths, found.term_points)
     view = None if nlp.view is None else view_along(nlp.view, basis, found.variables, found.rollout)
     if terms is not None:
         values[end] += terms.cost
@@ -353,7 +360,7 @@ def additions(current: Iterate, buffer: float) -> Additions:
         by = functools.cache(lambda: sensitivity(basis, variables, rollout))
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
     if nlp.terms is not None and current.terms is not None and current.terms.acts:
-        require_numbers(nlp.terms, basis, current.values, current.terms)
+        require_numbers(nlp.terms, current.term_points, current.terms)
         costs, bounded = linearized_terms(nlp.terms, basis, variables, rollout, current.terms)
     found = [_buffered(nlp, rollout, rows, buffer) for rows in (seeing, bounded) if rows is not None]
     return Additions.of(costs, found)

@@ -26,6 +26,8 @@ int64_t optdock_separating_plane_rows(int64_t p, int64_t chosen, int64_t v2, int
                                       const int64_t *interval, const int64_t *left, const double *table,
                                       const double *poses, const double *required, const double *by_x,
                                       const double *by_y, const double *by_yaw, int64_t *node, double *rows);
+void optdock_term_points(int64_t gears, int64_t nodes, double before, double after, const int64_t *divisions,
+                         const double *lengths, const double *signs, const double *rollout, double *points);
 int64_t optdock_minimizer(int64_t n, int64_t m, int64_t leading, int64_t guessed, int64_t rounds, double unbounded,
                           double tolerance, double attained, const double *h, const double *g, const double *a,
                           const double *bounds, const int64_t *guess, int64_t *ints, double *doubles);
@@ -36,6 +38,7 @@ typedef struct {
     int64_t few, nearest, nearest_close, together, lowest_vertices, facing_edges; /* see `CollisionSettings` */
     int64_t few_planes, thins, discs_per_node, discs;                             /* discs: most of a part */
     int64_t most_steps, alternations, zones, trusted, is_limited, most;           /* most: rows of clearance */
+    int64_t has_terms;
 } Counts;
 
 /* The first numbers of `PackedProgram.numbers`, then the arrays of `Program` that are doubles. */
@@ -46,6 +49,7 @@ typedef struct {
     double reach, most_reach, reach_per_motion, least_reach, end_allowance; /* see `LoopSettings` */
     double length, tracking;                                                /* weights of the cost */
     double taper, yaw_motion, curved_goal, curved_clearance, ridge;         /* see `StepSettings` */
+    double before, after;                                                   /* see `TermBound` */
 } Numbers;
 
 /* The constants of a program. */
@@ -242,6 +246,9 @@ int64_t optdock_evaluate(int64_t has_before, const int64_t *counts, const double
     }
     *to.cost = cost_of(&p, to.z, to.rollout);
     *to.short_of = sum_of(to.zones, p.n.zones);
+    if (p.n.has_terms)
+        optdock_term_points(p.n.gears, nodes, p.is.before, p.is.after, p.divisions, to.z + p.n.knots, p.signs,
+                            to.rollout, to.table + (6 * p.n.v + 2 * p.n.k + 4) * count);
     return count;
 }
 

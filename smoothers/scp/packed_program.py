@@ -10,6 +10,7 @@ from optdock.geometry.arrays import readonly
 from smoothers.scp.collision.clearance_along import Room
 from smoothers.scp.collision.linearization import small_obstacles
 from smoothers.scp.qp_step import numbers_before_rows, trusted_nodes
+from smoothers.terms import SYMBOLS
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -25,6 +26,7 @@ class PackedProgram(NamedTuple):
     numbers: FloatArray  # in the order of `Numbers` and `Program`, Shape (any,)
     room: Room  # sizes of the arrays of the kernel for clearance
     results: int  # index of the cost in `Iterate.values`
+    points: int  # numbers at the end of `Iterate.values` for the terms of the user
     work: int  # numbers that an evaluation needs
     trusted: int  # number of headings that the trust region bounds
     columns: int  # variables of a step: knots, gears and slacks
@@ -45,9 +47,10 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     sizes = basis.num_gears, basis.num_knots, basis.num_nodes, basis.num_intervals, parts, v, obstacles, k
     others = projection.max_steps, projection.alternations, step.zones, trusted.size
     is_limited, most = bool(np.isfinite(nlp.inner_bounds.rate)), step.clearance_rows[-1]
+    has_terms = nlp.terms is not None
     counts = np.concatenate(
         (
-            np.array((*sizes, *selection, *edges, *active, *others, is_limited, most), dtype=np.int64),
+            np.array((*sizes, *selection, *edges, *active, *others, is_limited, most, has_terms), dtype=np.int64),
             basis.divisions.ravel(),
             basis.left,
             trusted,
@@ -63,7 +66,8 @@ def packed(nlp: NonlinearProgram) -> PackedProgram:
     before, n, m = numbers_before_rows(basis.size, trusted.size), columns, rows + most
     of_step = (n + 1) * (2 * n + 7) + 19 * n + 10 * n * n + m * n + 4 * m, 5 * n + 6 * m + 1
     arrays = readonly(counts), readonly(numbers)
-    return PackedProgram(*arrays, room, results, work, trusted.size, columns, rows, before, of_step)
+    points = len(SYMBOLS) * basis.num_nodes if has_terms else 0
+    return PackedProgram(*arrays, room, results, points, work, trusted.size, columns, rows, before, of_step)
 
 
 def _numbers(nlp: NonlinearProgram) -> FloatArray:
@@ -77,7 +81,8 @@ def _numbers(nlp: NonlinearProgram) -> FloatArray:
     reach = loop.reach, loop.most_reach, loop.reach_per_motion, loop.least_reach
     slacks = step.curved_goal_slack, step.curved_clearance_slack, step.ridge
     others = loop.end_allowance, weights.length, weights.tracking, step.buffer_taper, step.yaw_motion
-    return np.array((*body, near.lowest_slope, *deep, *rows, *goal, *rates, *reach, *others, *slacks))
+    driven = (0.0, 0.0) if nlp.terms is None else (nlp.terms.before, nlp.terms.after)
+    return np.array((*body, near.lowest_slope, *deep, *rows, *goal, *rates, *reach, *others, *slacks, *driven))
 
 
 def _arrays(nlp: NonlinearProgram) -> list[FloatArray]:

@@ -286,7 +286,7 @@ def linearize_and_solve_natively(
         (packed.numbers, packed.numbers.size),
         (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
         (scene.packed, room.scene),
-        (current.values, packed.results + 6 + 4 * nodes + room.width * p),
+        (current.values, packed.results + 6 + 4 * nodes + room.width * p + packed.points),
         (current.pairs, nodes + 3 * p),
         (costs, costs.size),
         (more.node, added),

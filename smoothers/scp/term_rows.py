@@ -21,7 +21,7 @@ from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.refusals import Refusal
-from smoothers.scp.rollout import Rollout, sensitivity
+from smoothers.scp.rollout import sensitivity
 from smoothers.scp.term_samples import samples_of
 from smoothers.terms import SYMBOLS
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.model.path import Path
     from smoothers.scp.basis import Basis
-    from smoothers.scp.rollout import Sensitivity, Variables
+    from smoothers.scp.rollout import Rollout, Sensitivity, Variables
     from smoothers.scp.term_functions import TermSet
 
 __all__ = [
@@ -43,8 +43,7 @@ __all__ = [
     "tightened",
 ]
 
-_POINTS = Kernel("optdock_term_points", sizes=3, numbers=2)
-_ALONG = Kernel("optdock_terms_along", sizes=5, numbers=2)
+_ALONG = Kernel("optdock_terms_along", sizes=4, numbers=2)
 _LINEARIZED = Kernel("optdock_linearized_terms", sizes=7, numbers=3)
 _FLAT = 1e-9  # smaller derivatives by all variables give no row: the start is given
 _TIGHTENED = 1.2  # times the shortfall between nodes
@@ -92,59 +91,45 @@ class TermsAlong(NamedTuple):
         return self.table[:, width // len(SYMBOLS) :].reshape(nodes, -1, width // len(SYMBOLS))
 
 
-def _term_points_native(bound: TermBound, basis: Basis, given: FloatArray) -> FloatArray:
-    gears, nodes = basis.num_gears, basis.num_nodes
-    points = np.empty((nodes, len(SYMBOLS)))
-    arrays = (
-        (basis.divisions, 2 * gears),
-        (bound.signs, gears),
-        (given, given.size),
-        (points, points.size),
-    )
-    _POINTS((gears, basis.num_knots, nodes), (bound.before, bound.after), arrays)
-    return points
+def term_points(bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout) -> FloatArray:
+    """Return the values of the symbols at the nodes, Shape (num_nodes, 7).
 
-
-@twin_of(_term_points_native)
-def term_points(bound: TermBound, basis: Basis, given: FloatArray) -> FloatArray:
-    """Return the values of the symbols at the nodes, Shape (num_nodes, 7); `given` is that of `terms_along`."""
-    end = basis.size + 4 * basis.num_nodes + 6 * basis.num_intervals
-    lengths, rollout = given[basis.num_knots : basis.size], Rollout.within(given[basis.size : end], basis)
-    s = bound.before + _done(basis) @ lengths
-    remaining = bound.after + (1.0 - _done(basis)) @ lengths
+    The kernel of `loop.evaluated` computes them by `optdock_term_points`.
+    """
+    s = bound.before + _done(basis) @ variables.lengths
+    remaining = bound.after + (1.0 - _done(basis)) @ variables.lengths
     yaw, gear = wrap_angles(rollout.poses[:, 2]), bound.signs[basis.node_gear]
     return np.column_stack((rollout.poses[:, :2], yaw, rollout.curvature, s, remaining, gear))
 
 
-def terms_along(bound: TermBound, basis: Basis, given: FloatArray) -> TermsAlong:
+def terms_along(bound: TermBound, basis: Basis, lengths: FloatArray, points: FloatArray) -> TermsAlong:
     """Return the terms along a path; values that are not finite are infinite costs and shortfalls.
 
     Args:
         bound: Terms.
         basis: Basis.
-        given: An array that begins with the knot curvatures and gear lengths of the path, Shape (size,), followed by
-            its roll-out, see `Rollout.packed`.
+        lengths: Lengths of the gears, Shape (num_gears,) [m].
+        points: Result of `term_points`.
     """
-    return _reduced(bound, basis, given, bound.terms.with_slopes(term_points(bound, basis, given)))
+    return _reduced(bound, basis, lengths, bound.terms.with_slopes(points))
 
 
-def _reduced_natively(bound: TermBound, basis: Basis, given: FloatArray, table: FloatArray) -> TermsAlong:
+def _reduced_natively(bound: TermBound, basis: Basis, lengths: FloatArray, table: FloatArray) -> TermsAlong:
     nodes, hard, terms, out = basis.num_nodes, len(bound.terms.hard), bound.terms.count, np.empty(basis.num_nodes + 2)
     margins = 0 if bound.margins is None else nodes * hard
     arrays = (
         (basis.divisions, 2 * basis.num_gears),
         (bound.packed, terms - hard + margins),
-        (given, given.size),
+        (lengths, basis.num_gears),
         (table, len(SYMBOLS) * nodes * terms),
         (out, nodes + 2),
     )
-    sizes = basis.num_gears, basis.num_knots, hard, terms - hard, margins
-    acts = _ALONG(sizes, (bound.reach, bound.bend), arrays)
+    acts = _ALONG((basis.num_gears, hard, terms - hard, margins), (bound.reach, bound.bend), arrays)
     return TermsAlong(out.item(nodes), out[:nodes], out.item(nodes + 1), acts != 0, table)
 
 
-@twin_of(_reduced_natively, lambda bound, basis, given, table: (bound, basis, given, table.copy()))
-def _reduced(bound: TermBound, basis: Basis, given: FloatArray, table: FloatArray) -> TermsAlong:
+@twin_of(_reduced_natively, lambda bound, basis, lengths, table: (bound, basis, lengths, table.copy()))
+def _reduced(bound: TermBound, basis: Basis, lengths: FloatArray, table: FloatArray) -> TermsAlong:
     """Return the terms with the values of `TermSet.with_slopes`, which becomes the table of the result."""
     terms, count = bound.terms, len(bound.terms.hard)
     found = TermsAlong(0.0, np.empty(0), -np.inf, acts=False, table=table)
@@ -154,7 +139,7 @@ def _reduced(bound: TermBound, basis: Basis, given: FloatArray, table: FloatArra
         values[:, :count] -= bound.margins
     lowest = values[:, :count].min(axis=1, initial=np.inf)
     short = np.where(np.isnan(lowest), np.inf, -lowest)
-    residuals, lengths = values[:, count:], given[basis.num_knots : basis.size]
+    residuals = values[:, count:]
     with np.errstate(over="ignore"):
         cost = float(node_shares(basis) * lengths[basis.node_gear] @ (residuals**2 @ terms.weights))
     acts = bool(_is_near(bound, found).any() or residuals.any())
@@ -266,7 +251,7 @@ def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) 
     return replace(bound, margins=margins if bound.margins is None else bound.margins + margins)
 
 
-def require_numbers(bound: TermBound, basis: Basis, given: FloatArray, along: TermsAlong) -> None:
+def require_numbers(bound: TermBound, points: FloatArray, along: TermsAlong) -> None:
     """Raise FailedToSmoothPath if a value is not a finite number: a path with such values is never improved."""
     if along.cost < np.inf and along.worst < np.inf:
         return
@@ -274,7 +259,7 @@ def require_numbers(bound: TermBound, basis: Basis, given: FloatArray, along: Te
     if finite.all():
         return
     row, k = np.argwhere(~finite)[0]
-    x, y, yaw, _, s, *_ = term_points(bound, basis, given)[row].tolist()
+    x, y, yaw, _, s, *_ = points[row].tolist()
     term = (*bound.terms.hard, *bound.terms.soft)[k]
     message = f"the term {term.name!r} is not a finite number at s = {s:.3f} m on the first path of the search"
     raise Refusal("term", s, np.inf, "", message, np.array([x, y, yaw]), {"term": term.name}).error()

@@ -12,18 +12,17 @@ int64_t optdock_sensitivity(int64_t gears, int64_t knots, int64_t nodes, int64_t
 
 enum { SYMBOLS = 7, DERIVATIVES = 6 }; /* see `SYMBOLS` in terms.py; there is no derivative by the last one */
 
-/* Compute the symbols at the nodes of a path.
+/* Compute the symbols at the nodes of a path, as the function `term_points`.
  *
- *   gears, knots, nodes   numbers
- *   before, after         distances driven before the first node, and to be driven after the last one [m]
- *   divisions             (gears, 2), spans and intervals of each gear
- *   signs                 (gears,), directions
- *   given                 curvatures (knots,), lengths (gears,), and the roll-out, see `Rollout.packed`
- *   points                out, (nodes, 7) */
-int64_t optdock_term_points(int64_t gears, int64_t knots, int64_t nodes, double before, double after,
-                            const int64_t *divisions, const double *signs, const double *given, double *points)
+ *   gears, nodes     numbers
+ *   before, after    distances driven before the first node, and to be driven after the last one [m]
+ *   divisions        (gears, 2), spans and intervals of each gear
+ *   lengths, signs   (gears,), lengths [m] and directions
+ *   rollout          see `Rollout.packed`
+ *   points           out, (nodes, 7) */
+void optdock_term_points(int64_t gears, int64_t nodes, double before, double after, const int64_t *divisions,
+                         const double *lengths, const double *signs, const double *rollout, double *points)
 {
-    const double *lengths = given + knots, *rollout = lengths + gears;
     double passed = 0.0, left = 0.0;
     for (int64_t m = 0; m < gears; m++)
         left += lengths[m];
@@ -42,7 +41,6 @@ int64_t optdock_term_points(int64_t gears, int64_t knots, int64_t nodes, double 
         }
         passed += lengths[m];
     }
-    return 0;
 }
 
 /* Whether hard term k can change its sign within a step at a node with this row of the table; see `TermBound`. */
@@ -63,9 +61,9 @@ static double share_of(int64_t node, int64_t cells)
 
 /* Reduce the terms at the nodes to their cost and shortfalls.
  *
- *   gears, knots, hard, soft   numbers; margins: 0, or nodes times `hard`
+ *   gears, hard, soft   numbers; margins: 0, or nodes times `hard`
  *   reach, bend                see `TermBound`
- *   divisions, given           see `optdock_term_points`
+ *   divisions, lengths  see `optdock_term_points`
  *   weights                    (soft + margins,), weights [1/m], and values subtracted from the hard terms (nodes, hard)
  *   table                      (nodes, 7 terms), values of the hard and the soft terms and their derivatives by each
  *                              symbol; margins are subtracted, and derivatives that are not finite set to 0
@@ -73,13 +71,13 @@ static double share_of(int64_t node, int64_t cells)
  *                              not a number; cost of the soft terms; largest of the shortfalls
  *
  * Return whether a term acts, see `TermsAlong`. */
-int64_t optdock_terms_along(int64_t gears, int64_t knots, int64_t hard, int64_t soft, int64_t margins, double reach,
-                            double bend, const int64_t *divisions, const double *weights, const double *given,
-                            double *table, double *out)
+int64_t optdock_terms_along(int64_t gears, int64_t hard, int64_t soft, int64_t margins, double reach, double bend,
+                            const int64_t *divisions, const double *weights, const double *lengths, double *table,
+                            double *out)
 {
     int64_t count = hard + soft, acts = 0;
     double cost = 0.0, worst = -INFINITY;
-    const double *margin = weights + soft, *lengths = given + knots;
+    const double *margin = weights + soft;
     for (int64_t m = 0; m < gears; m++) {
         for (int64_t i = 0; i <= divisions[2 * m + 1]; i++, table += (1 + DERIVATIVES) * count, out++) {
             double *slopes = table + count, lowest = INFINITY;

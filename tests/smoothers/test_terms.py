@@ -57,17 +57,11 @@ def bound_of(signs, terms=TERMS, reach=1e9):
     return TermBound(term_set(terms), signs, 0.7, 0.4, reach, 3.0)
 
 
-def given_of(variables, rollout):
-    return np.concatenate((*variables, rollout.packed))
-
-
 def test_the_symbols_are_those_of_the_path_in_their_order(cases):
     basis, variables, start, signs = cases.random_path(4)
     rollout = roll_out(basis, variables, start, signs)
     bound = bound_of(signs, [HardTerm(name, lambda p, name=name: getattr(p, name)) for name in SYMBOLS])
-    x, y, yaw, curvature, s, remaining, gear = bound.terms.values(
-        term_points(bound, basis, given_of(variables, rollout))
-    ).T
+    x, y, yaw, curvature, s, remaining, gear = bound.terms.values(term_points(bound, basis, variables, rollout)).T
     assert np.column_stack((x, y)) == pytest.approx(rollout.poses[:, :2])
     assert np.exp(1j * yaw) == pytest.approx(np.exp(1j * rollout.poses[:, 2]))
     assert np.abs(yaw).max() <= math.pi
@@ -105,11 +99,12 @@ def test_rows_and_gradients_are_those_of_differences(cases, seed):
     def along(flat):
         moved = Variables(flat[:knots], flat[knots:])
         rollout = roll_out(basis, moved, start, signs)
-        points = term_points(bound, basis, given_of(moved, rollout))
-        return bound.terms.values(points)[:, :3], terms_along(bound, basis, given_of(moved, rollout)).cost
+        points = term_points(bound, basis, moved, rollout)
+        return bound.terms.values(points)[:, :3], terms_along(bound, basis, moved.lengths, points).cost
 
     flat, rollout = np.concatenate(variables), roll_out(basis, variables, start, signs)
-    found = terms_along(bound, basis, given_of(variables, rollout))
+    points = term_points(bound, basis, variables, rollout)
+    found = terms_along(bound, basis, variables.lengths, points)
     quadratic, rows = linearized_terms(bound, basis, variables, rollout, found)
     hard, soft = [], []
     for shift in STEP * np.eye(flat.size):
