@@ -220,7 +220,9 @@ def search(
             return
 
 
-def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
+def _evaluate_natively(
+    nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None
+) -> tuple[FloatArray, IntArray]:
     packed, basis, size, nodes = nlp.packed, nlp.basis, nlp.basis.size, nlp.basis.num_nodes
     room, table = packed.room, packed.results + 6 + 4 * nodes
     pairs = np.empty(nodes + 3 * room.pairs, dtype=np.int64)
@@ -240,12 +242,12 @@ def _evaluate_natively(nlp: NonlinearProgram, variables: FloatArray, before: Ite
         (indices, indices.size),
     )
     p = _EVALUATE((before is not None,), (), arrays)
-    return Iterate.of(nlp, values[: table + room.width * p + packed.points], pairs[: nodes + 3 * p])
+    return values[: table + room.width * p + packed.points], pairs[: nodes + 3 * p]
 
 
 @twin_of(_evaluate_natively)
-def _evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> Iterate:
-    """Return the result of `evaluated`, without the required view and terms."""
+def _evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None) -> tuple[FloatArray, IntArray]:
+    """Return the arrays of the result of `evaluated`, without the required view and terms."""
     settings, knots = nlp.settings.loop, nlp.basis.num_knots
     projected, rollout = project_and_roll_out(nlp, Variables(variables[:knots], variables[knots:]))
     moved, reach = 0.0, settings.reach
@@ -257,8 +259,10 @@ def _evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | N
     return _judged(nlp, projected, rollout, reach, moved)
 
 
-def _judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float, moved: float) -> Iterate:
-    """Return the result of `judged`, without the required view and terms."""
+def _judged(
+    nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float, moved: float
+) -> tuple[FloatArray, IntArray]:
+    """Return the arrays of the result of `judged`, without the required view and terms."""
     settings, scene, basis, count = nlp.settings.loop, nlp.scene, nlp.basis, nlp.settings.step.zones
     found = clearance_along(scene, basis, rollout, nlp.ends.signs, reach + scene.rule.required)
     pairs, zones = found.pairs, np.zeros(count)
@@ -274,37 +278,43 @@ def _judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach
     parts = *variables, rollout.packed, error, zones, np.array(results), required.value, required.gradient
     points = () if nlp.terms is None else (term_points(nlp.terms, basis, variables, rollout),)
     values = np.concatenate((*parts, required.leaving, found.table, *points), axis=None)
-    return Iterate.of(nlp, values, np.concatenate((required.rule, *pairs)))
+    return values, np.concatenate((required.rule, *pairs))
 
 
 def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
     """Return the iterate of a roll-out; pairs with more than `reach` [m] above the required clearance are left out."""
-    return _with_view_and_terms(_judged(nlp, variables, rollout, reach, 0.0))
+    return _with_view_and_terms(nlp, *_judged(nlp, variables, rollout, reach, 0.0))
 
 
 def evaluated(nlp: NonlinearProgram, variables: FloatArray, before: Iterate | None = None) -> Iterate:
     """Return the projected iterate of `variables`, Shape (size,); `moved` is its change since the iterate `before`."""
-    return _with_view_and_terms(_evaluated(nlp, variables, before))
+    return _with_view_and_terms(nlp, *_evaluated(nlp, variables, before))
 
 
-def _with_view_and_terms(found: Iterate) -> Iterate:
-    """Return an iterate with the shortfalls of the required view and hard terms, and the costs of soft terms, added."""
-    nlp, basis = found.nlp, found.nlp.basis
-    if nlp.view is None and nlp.terms is None:
-        return found
-    end, values, zones, lengths = nlp.packed.results, found.values, found.zones, found.variables.lengths
-    terms = None if nlp.terms is None else terms_along(nlp.terms, basis, lengths, found.term_points)
-    view = None if nlp.view is None else view_along(nlp.view, basis, found.variables, found.rollout)
-    if terms is not None:
-        values[end] += terms.cost
-    if view is not None or (terms is not None and terms.worst > 0.0):
-        short = np.full(basis.num_nodes, -np.inf) if terms is None else terms.short.copy()
-        if view is not None:
-            np.maximum.at(short, view.node, -view.margin.min(axis=0, initial=np.inf))
-        short[[0, -1]] -= nlp.settings.loop.end_allowance  # the end poses are given, as in `_judged`
-        np.maximum.at(zones, zone_of(basis, np.arange(basis.num_nodes), zones.size), short)
-        values[end + 1 : end + 3] = zones.max(), in_order(zones)
-    return Iterate.of(nlp, values, found.pairs, view, terms)
+def _with_view_and_terms(nlp: NonlinearProgram, values: FloatArray, pairs: IntArray) -> Iterate:
+    """Return the iterate of two arrays, with the shortfalls of the required view and the terms of the user."""
+    basis, packed, view, terms = nlp.basis, nlp.packed, None, None
+    if nlp.terms is not None:
+        points = values[-packed.points :].reshape(basis.num_nodes, -1)
+        terms = terms_along(nlp.terms, basis, values[basis.num_knots : basis.size], points)
+        values[packed.results] += terms.cost
+        if terms.worst > 0.0:
+            _add_shortfalls(nlp, values, np.arange(basis.num_nodes), terms.short)
+    if nlp.view is not None:
+        found = Iterate.of(nlp, values, pairs)
+        view = view_along(nlp.view, basis, found.variables, found.rollout)
+        _add_shortfalls(nlp, values, view.node, -view.margin.min(axis=0, initial=np.inf))
+    return Iterate.of(nlp, values, pairs, view, terms)
+
+
+def _add_shortfalls(nlp: NonlinearProgram, values: FloatArray, node: IntArray, short: FloatArray) -> None:
+    """Add shortfalls at nodes, Shape (n,) [m], to the arrays of an iterate."""
+    end, zones = nlp.packed.results, nlp.settings.step.zones
+    largest = values[end - zones : end]
+    # The end poses are given, as in `_judged`.
+    allowed = np.where((node == 0) | (node == nlp.basis.num_nodes - 1), nlp.settings.loop.end_allowance, 0.0)
+    np.maximum.at(largest, zone_of(nlp.basis, node, zones), short - allowed)
+    values[end + 1 : end + 3] = largest.max(), in_order(largest)
 
 
 @twin_of(linearize_and_solve_natively)

@@ -1,8 +1,8 @@
 """Values and derivatives of terms at points of a path, by CasADi's virtual machine.
 
 All terms of a smoother are one function of a point, which is mapped over blocks of points. The functions are built once
-per thread and set of terms, in 2 to 5 ms, and share their buffers with NumPy arrays. A block of 64 points with
-derivatives takes 2 to 6 us per term. Code in C would save little of that, so none is generated.
+per thread and set of terms, in 2 to 5 ms, and share their buffers with NumPy arrays. A block of 32 points with
+derivatives takes 1 to 3 us per term. Code in C would save little of that, so none is generated.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["DERIVATIVES", "TermFunctions", "TermSet", "term_set"]
 
 DERIVATIVES = len(SYMBOLS) - 1  # by all symbols except the gear, which is the last one
-_BLOCK, _LARGE_BLOCK = 64, 128  # points per evaluation: nodes, and samples
+_BLOCK = 32  # points per evaluation: larger blocks of instructions leave the caches, smaller ones need more calls
 _MOST_UNROLLED = 10_000  # instructions, which take 10 ms to build
 _MOST_KEPT = 16  # sets of terms per thread
 
@@ -45,16 +45,14 @@ class TermSet:
 
         A value that is not finite is NaN. Columns of symbols that are not in `reads` may have any value.
         """
-        functions = self._functions
-        blocks = functions.samples if len(points) > 2 * _LARGE_BLOCK else functions.nodes
-        return blocks.evaluated(points, self._parameters)
+        return self._functions.values.evaluated(points, self._parameters)
 
     def with_slopes(self, points: FloatArray) -> FloatArray:
         """Return the values of all terms, followed by their derivatives by each symbol in turn.
 
         Shape (n, (1 + `DERIVATIVES`) terms). A derivative may be not finite at a kink.
         """
-        return self._functions.nodes_with_slopes.evaluated(points, self._parameters)
+        return self._functions.with_slopes.evaluated(points, self._parameters)
 
     @cached_property
     def reads(self) -> frozenset[str]:
@@ -144,36 +142,31 @@ class TermFunctions:
         )
 
     @cached_property
-    def nodes(self) -> _Blocks:
-        """The values, at few points."""
-        return _Blocks(self._one, _BLOCK)
+    def values(self) -> _Blocks:
+        """The values."""
+        return _Blocks(self._one)
 
     @cached_property
-    def samples(self) -> _Blocks:
-        """The values, at many points."""
-        return _Blocks(self._one, _LARGE_BLOCK)
-
-    @cached_property
-    def nodes_with_slopes(self) -> _Blocks:
+    def with_slopes(self) -> _Blocks:
         """The values and then the derivatives."""
-        return _Blocks(self._one_with_slopes, _BLOCK)
+        return _Blocks(self._one_with_slopes)
 
 
 class _Blocks:
     """A function of a point and of parameters, evaluated at blocks of points in its own memory."""
 
-    def __init__(self, function: casadi.Function, size: int) -> None:
-        mapped = function.map("blocks", "serial", size, [1], [])
-        if size * function.n_instructions() <= _MOST_UNROLLED:  # one list of instructions is ten times faster
+    def __init__(self, function: casadi.Function) -> None:
+        mapped = function.map("blocks", "serial", _BLOCK, [1], [])
+        if _BLOCK * function.n_instructions() <= _MOST_UNROLLED:  # one list of instructions is ten times faster
             mapped = mapped.expand()
-        self._mapped, self._size = mapped, size
+        self._mapped = mapped
         self._parameters = np.zeros(function.size1_in(1))
         self._known: FloatArray | None = None  # the array with these parameters
         self._enlarge(1)
 
     def _enlarge(self, blocks: int) -> None:
         """Provide memory for some blocks, each with a buffer that has its addresses."""
-        function, size = self._mapped, self._size
+        function, size = self._mapped, _BLOCK
         self._points = np.zeros((blocks * size, function.size1_in(0)))
         self._results = np.zeros((blocks * size, function.nnz_out(0) // size))
         self._buffers = [function.buffer() for _ in range(blocks)]
@@ -186,7 +179,7 @@ class _Blocks:
     def evaluated(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
         """Return the output at the points, one row per point."""
         count = len(points)
-        blocks = -(-count // self._size)
+        blocks = -(-count // _BLOCK)
         if blocks > len(self._buffers):
             self._enlarge(2 * blocks)
         if parameters is not self._known:
