@@ -8,7 +8,6 @@ exactly and projected onto the goal if possible. A step is accepted if it lowers
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,7 +17,7 @@ import numpy as np
 from optdock.deadline import never_late
 from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.clearance_along import clearance_along
-from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
+from smoothers.scp.collision.linearization import active_pairs, linearized_clearance
 from smoothers.scp.goal_projection import project_and_roll_out
 from smoothers.scp.qp_step import (
     NOTHING_ADDED,
@@ -347,33 +346,32 @@ def linearized(current: Iterate, buffer: float, more: Additions = NOTHING_ADDED)
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
     rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active).lowest(most)
     quadratic, headings = nlp.cost.quadratic(variables, rollout, by), by.yaw[trusted_nodes(basis, settings)]
-    quadratic, rows = more.to(quadratic, _buffered(nlp, rollout, rows, buffer))
+    rows = rows._replace(gap=rows.gap - _buffers(nlp, rollout, rows.node, buffer))
+    quadratic, rows = more.to(quadratic, rows)
     return Linearization.of(basis, Subproblem(variables, quadratic, motion, goal, headings, rows.lowest(most)))
 
 
-def _buffered(nlp: NonlinearProgram, rollout: Rollout, rows: ClearanceRows, buffer: float) -> ClearanceRows:
-    """Return rows with a buffer [m], which vanishes at the ends, where the pose cannot move."""
-    place, start, target = rollout.poses[rows.node], nlp.ends.start, nlp.ends.target
+def _buffers(nlp: NonlinearProgram, rollout: Rollout, node: IntArray, buffer: float) -> FloatArray:
+    """Return the buffer at some nodes [m], which vanishes at the ends of the path, where the pose cannot move."""
+    place, start, target = rollout.poses[node], nlp.ends.start, nlp.ends.target
     from_start = np.hypot(place[:, 0] - start[0], place[:, 1] - start[1])
     to_target = np.hypot(place[:, 0] - target[0], place[:, 1] - target[1])
-    wanted = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / nlp.settings.step.buffer_taper)
-    return ClearanceRows(rows.gradient, rows.gap - wanted, rows.node)
+    found: FloatArray = buffer * np.minimum(1.0, np.minimum(from_start, to_target) / nlp.settings.step.buffer_taper)
+    return found
 
 
 def additions(current: Iterate, buffer: float) -> Additions:
     """Return the rows of the required view and of terms, with a buffer [m], and the costs of soft terms."""
-    if current.view is None and (current.terms is None or not current.terms.acts):
-        return NOTHING_ADDED
-    nlp, basis, variables, rollout = current.nlp, current.nlp.basis, current.variables, current.rollout
-    seeing = bounded = costs = None
-    if nlp.view is not None and current.view is not None:
-        by = functools.cache(lambda: sensitivity(basis, variables, rollout))
-        seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
+    nlp, found = current.nlp, NOTHING_ADDED
     if nlp.terms is not None and current.terms is not None and current.terms.acts:
         require_numbers(nlp.terms, current.term_points, current.terms)
-        costs, bounded = linearized_terms(nlp.terms, basis, variables, rollout, current.terms)
-    found = [_buffered(nlp, rollout, rows, buffer) for rows in (seeing, bounded) if rows is not None]
-    return Additions.of(costs, found)
+        found = linearized_terms(nlp.terms, nlp.basis, current.variables, current.rollout, current.terms)
+    if nlp.view is not None and current.view is not None:
+        rows = linearized_view(nlp.view, nlp.basis, current.variables, current.rollout, current.view)
+        found = found if rows is None else found.with_rows(rows)
+    if found.node.size:
+        found.rows[:, 0] -= _buffers(nlp, current.rollout, found.node, buffer)
+    return found
 
 
 def _improved(current: Iterate, around: Linearization, step: QpStep | None, state: _State) -> Iterate | None:

@@ -39,8 +39,6 @@ from smoothers.scp.cost import Quadratic
 from smoothers.scp.rollout import Variables, in_order
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.loop import Iterate
@@ -168,16 +166,12 @@ class Additions(NamedTuple):
     rows: FloatArray  # gap and gradient of each row, Shape (r, 1 + size)
     node: IntArray  # nodes of the rows, Shape (r,)
 
-    @classmethod
-    def of(cls, costs: Quadratic | None, rows: Sequence[ClearanceRows]) -> Additions:
-        """Return the additions of a quadratic model, or None, and of sets of rows."""
-        if costs is None and not rows:
-            return NOTHING_ADDED
-        model = NOTHING_ADDED.costs if costs is None else np.concatenate(costs, axis=None)
-        if not rows:
-            return NOTHING_ADDED._replace(costs=model)
-        packed = [np.column_stack((one.gap, one.gradient)) for one in rows]
-        return cls(model, np.concatenate(packed), np.concatenate([one.node for one in rows]))
+    def with_rows(self, rows: ClearanceRows) -> Additions:
+        """Return the additions with further rows."""
+        packed, node = np.column_stack((rows.gap, rows.gradient)), rows.node
+        if self.node.size:
+            packed, node = np.concatenate((self.rows, packed)), np.concatenate((self.node, node))
+        return Additions(self.costs, packed, node)
 
     def to(self, quadratic: Quadratic, rows: ClearanceRows) -> tuple[Quadratic, ClearanceRows]:
         """Return a model and rows with the additions."""

@@ -579,7 +579,7 @@ def _bounds_of(call: Call, settings: Settings) -> tuple[ViewBound | None, TermBo
     signs = np.array([float(segment.direction) for segment in call.path.segments])
     bend = 2.0 * min(call.problem.robot.limits.max_curvature, settings.bounds.curvature_cap)
     return (
-        None if seen is None else ViewBound(seen, call.whole, signs, after),
+        None if seen is None else ViewBound(seen, call.whole, signs, after, settings.view.reach),
         None if terms is None else TermBound(terms, signs, call.before, after, settings.view.reach, bend),
     )
 

@@ -19,7 +19,7 @@ from optdock.geometry.lazy import cached_property
 from optdock.geometry.pose import wrap_angles
 from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.linearization import ClearanceRows
-from smoothers.scp.cost import Quadratic
+from smoothers.scp.qp_step import NOTHING_ADDED, Additions
 from smoothers.scp.refusals import Refusal
 from smoothers.scp.rollout import sensitivity
 from smoothers.scp.term_samples import samples_of
@@ -171,33 +171,33 @@ def node_shares(basis: Basis) -> FloatArray:
 
 def _linearized_natively(
     bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout, along: TermsAlong
-) -> tuple[Quadratic | None, ClearanceRows | None]:
-    nodes, size, hard, soft = basis.num_nodes, basis.size, len(bound.terms.hard), len(bound.terms.soft)
+) -> Additions:
+    nodes, size, hard, terms = basis.num_nodes, basis.size, len(bound.terms.hard), bound.terms.count
     most, work = hard * min(_MOST_ROWS, nodes), (3 * nodes + 5) * size
-    costs, rows, node = np.empty(size + size * size), np.empty((most, 1 + size)), np.empty(most, dtype=np.int64)
+    costs = np.empty(size + size * size if terms > hard else 0)
+    rows, node = np.empty((most, 1 + size)), np.empty(most, dtype=np.int64)
     arrays = (
         (basis.packed, 2 * (basis.num_intervals + nodes) * basis.num_knots),
         (basis.divisions, 2 * basis.num_gears),
         (np.concatenate(variables), size),
         (rollout.moves, 4 * basis.num_intervals),
-        (along.table, len(SYMBOLS) * nodes * (hard + soft)),
-        (bound.terms.weights, soft),
+        (along.table, len(SYMBOLS) * nodes * terms),
+        (bound.terms.weights, terms - hard),
         (costs, costs.size),
         (rows, rows.size),
         (node, most),
         (np.empty(work), work),
     )
-    sizes = basis.num_gears, basis.num_knots, nodes, basis.num_intervals, hard, soft, _MOST_ROWS
+    sizes = basis.num_gears, basis.num_knots, nodes, basis.num_intervals, hard, terms - hard, _MOST_ROWS
     found = _LINEARIZED(sizes, (bound.reach, bound.bend, _FLAT), arrays)
-    quadratic = Quadratic(costs[:size], costs[size:].reshape(size, size)) if soft else None
-    return quadratic, ClearanceRows(rows[:found, 1:], rows[:found, 0], node[:found]) if found else None
+    return Additions(costs, rows[:found], node[:found])
 
 
 @twin_of(_linearized_natively)
 def linearized_terms(
     bound: TermBound, basis: Basis, variables: Variables, rollout: Rollout, along: TermsAlong
-) -> tuple[Quadratic | None, ClearanceRows | None]:
-    """Return the quadratic model of the soft terms, and the rows of the hard terms; None where there is nothing.
+) -> Additions:
+    """Return the rows of the hard terms, and the quadratic model of the soft terms if there are any.
 
     Args:
         bound: Terms.
@@ -206,27 +206,25 @@ def linearized_terms(
         rollout: The path at the nodes.
         along: Terms along the path, finite numbers.
     """
-    values, slopes, count = along.values, along.slopes, len(bound.terms.hard)
-    by, is_near, rows = sensitivity(basis, variables, rollout), _is_near(bound, along), list[ClearanceRows]()
-    for k in range(count):
+    values, slopes, hard = along.values, along.slopes, len(bound.terms.hard)
+    by, is_near = sensitivity(basis, variables, rollout), _is_near(bound, along)
+    rows = NOTHING_ADDED._replace(rows=np.empty((0, 1 + basis.size)))
+    for k in range(hard):
         near = np.flatnonzero(is_near[:, k])
-        gradient = _by_variables(basis, by, slopes[:, :, k], near)
-        found = ClearanceRows(gradient, values[near, k], near).lowest(_MOST_ROWS)
-        rows.append(found.subset(np.abs(found.gradient).max(axis=1, initial=0.0) > _FLAT))
-    share = node_shares(basis)
+        found = ClearanceRows(_by_variables(basis, by, slopes[:, :, k], near), values[near, k], near).lowest(_MOST_ROWS)
+        rows = rows.with_rows(found.subset(np.abs(found.gradient).max(axis=1, initial=0.0) > _FLAT))
+    if not bound.terms.soft:
+        return rows
+    share, everywhere = node_shares(basis), np.arange(basis.num_nodes)
     gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
-    for k, term_weight in enumerate(bound.terms.weights.tolist(), count):
+    for k, term_weight in enumerate(bound.terms.weights.tolist(), hard):
         residual, weight = values[:, k], term_weight * share
-        moved = _by_variables(basis, by, slopes[:, :, k], np.arange(basis.num_nodes))
+        moved = _by_variables(basis, by, slopes[:, :, k], everywhere)
         scale = np.where(residual != 0.0, 2.0 * weight * variables.lengths[basis.node_gear], 0.0)
         gradient += (scale * residual) @ moved
         gradient[basis.num_knots :] += np.bincount(basis.node_gear, weight * residual**2, minlength=basis.num_gears)
         hessian += moved.T @ (scale[:, None] * moved)
-    joined = ClearanceRows(*(np.concatenate(parts) for parts in zip(*rows, strict=True))) if rows else None
-    return (
-        Quadratic(gradient, hessian) if bound.terms.soft else None,
-        joined if joined is not None and joined.gap.size else None,
-    )
+    return rows._replace(costs=np.concatenate((gradient, hessian), axis=None))
 
 
 def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) -> TermBound:

@@ -150,7 +150,7 @@ static int is_low(int64_t nodes, int64_t count, int64_t k, double reach, double 
  *   z              curvatures and lengths, (knots + gears,) = (size,)
  *   moves          displacements by the Gauss points, (2 intervals, 2)
  *   weights        (soft,) [1/m]
- *   costs          out, (size + size^2,), gradient and Hessian of the soft terms
+ *   costs          out, (size + size^2,), gradient and Hessian of the soft terms; nothing if there are none
  *   rows, node     out, (hard min(most, nodes), 1 + size), gap and gradient of each row, and their nodes
  *   work           (3 nodes size + 5 size,)
  *
@@ -165,7 +165,7 @@ int64_t optdock_linearized_terms(int64_t gears, int64_t knots, int64_t nodes, in
     double *by = work, *moved = by + 3 * nodes * size, *hessian = costs + size;
     const double *hats = basis + (2 * intervals + nodes) * knots;
     optdock_sensitivity(gears, knots, nodes, intervals, basis, divisions, z, moves, by, moved + size);
-    for (int64_t j = 0; j < size + size * size; j++)
+    for (int64_t j = 0; soft > 0 && j < size + size * size; j++)
         costs[j] = 0.0;
     for (int64_t k = 0; k < count; k++) {
         for (int64_t m = 0, i = 0; m < gears; m++) {
@@ -193,14 +193,17 @@ int64_t optdock_linearized_terms(int64_t gears, int64_t knots, int64_t nodes, in
                 double weight = weights[k - hard] * share_of(cell, cells), scale = 2.0 * weight * z[knots + m];
                 costs[knots + m] += weight * (at[k] * at[k]);
                 for (int64_t j = 0; j < size; j++) {
-                    costs[j] += scale * at[k] * moved[j];
+                    double factor = scale * moved[j], *row = hessian + j * size;
+                    if (factor == 0.0) /* of later knots, which do not move the node */
+                        continue;
+                    costs[j] += factor * at[k];
                     for (int64_t l = 0; l <= j; l++)
-                        hessian[j * size + l] += scale * moved[j] * moved[l];
+                        row[l] += factor * moved[l];
                 }
             }
         }
     }
-    for (int64_t j = 0; j < size; j++)
+    for (int64_t j = 0; soft > 0 && j < size; j++)
         for (int64_t l = 0; l < j; l++)
             hessian[l * size + j] = hessian[j * size + l];
     return found;

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from smoothers.scp.collision.linearization import ClearanceRows
+from smoothers.scp.rollout import sensitivity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.camera import RequiredView
     from optdock.model.problem import DockingProblem
@@ -39,6 +38,7 @@ class ViewBound:
     problem: DockingProblem  # whole problem, whose start and goal determine the required margin
     signs: FloatArray  # gears, Shape (num_gears,)
     after: float  # distance from the last node to the goal [m]: the final straight, and later pieces of the path
+    reach: float  # larger margins have no row [m]
 
 
 class SeenPlaces(NamedTuple):
@@ -65,16 +65,13 @@ def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Ro
 
 
 def linearized_view(
-    bound: ViewBound, basis: Basis, rollout: Rollout, by: Callable[[], Sensitivity], places: SeenPlaces, reach: float
+    bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout, places: SeenPlaces
 ) -> ClearanceRows | None:
-    """Return the constraint rows of the margins below `reach` [m], or None if there are none.
-
-    `by` returns the derivatives of the poses, and is only called if there are rows.
-    """
-    edge, place = np.nonzero(places.margin < reach)
+    """Return the constraint rows of the margins below the reach of the bound, or None if there are none."""
+    edge, place = np.nonzero(places.margin < bound.reach)
     if not edge.size:
         return None
-    by_place = _sensitivity(bound, basis, rollout, by(), places)
+    by_place = _sensitivity(bound, basis, rollout, sensitivity(basis, variables, rollout), places)
     cosine, sine = np.cos(places.poses[place, 2]), np.sin(places.poses[place, 2])
     normal, seen = places.normals[edge, place], places.seen[place]
     # d seen / d x = (-cos, sin), d seen / d y = (-sin, -cos), d seen / d yaw = (y, -x)

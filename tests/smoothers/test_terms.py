@@ -25,6 +25,8 @@ from optdock.plugins.interfaces import never_cancelled
 from optdock.quadratic_program import minimizer
 from smoothers import CasadiSmoother, HardTerm, SoftTerm
 from smoothers.scp import term_rows
+from smoothers.scp.collision.linearization import ClearanceRows
+from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import end_sensitivity
 from smoothers.scp.loop import judged
 from smoothers.scp.qp_step import (
@@ -55,6 +57,10 @@ STEP = 1e-6
 
 def bound_of(signs, terms=TERMS, reach=1e9):
     return TermBound(term_set(terms), signs, 0.7, 0.4, reach, 3.0)
+
+
+def no_rows(basis):
+    return ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
 
 
 def test_the_symbols_are_those_of_the_path_in_their_order(cases):
@@ -105,7 +111,9 @@ def test_rows_and_gradients_are_those_of_differences(cases, seed):
     flat, rollout = np.concatenate(variables), roll_out(basis, variables, start, signs)
     points = term_points(bound, basis, variables, rollout)
     found = terms_along(bound, basis, variables.lengths, points)
-    quadratic, rows = linearized_terms(bound, basis, variables, rollout, found)
+    added = linearized_terms(bound, basis, variables, rollout, found)
+    nothing = Quadratic(np.zeros(basis.size), np.zeros((basis.size, basis.size)))
+    quadratic, rows = added.to(nothing, no_rows(basis))
     hard, soft = [], []
     for shift in STEP * np.eye(flat.size):
         (up, above), (down, below) = along(flat + shift), along(flat - shift)
@@ -187,8 +195,8 @@ def test_the_whole_program_is_the_symbolic_one(cases, which, monkeypatch):
         assert iterate.cost == pytest.approx(value.item(), rel=1e-11)
         assert iterate.end_error == pytest.approx(error.ravel(), abs=1e-9)
         everywhere = dataclasses.replace(nlp.terms, reach=1e9)
-        added, rows = linearized_terms(everywhere, basis, variables, rollout, iterate.terms)
-        quadratic = nlp.cost.quadratic(variables, rollout, by).plus(added)
+        added = linearized_terms(everywhere, basis, variables, rollout, iterate.terms)
+        quadratic, rows = added.to(nlp.cost.quadratic(variables, rollout, by), no_rows(basis))
         assert quadratic.gradient == pytest.approx(gradient.ravel(), rel=1e-9, abs=1e-9)
         goal = end_sensitivity(basis, variables, rollout.moves), iterate.end_error
         assert goal[0] == pytest.approx(by_goal, abs=1e-9)
