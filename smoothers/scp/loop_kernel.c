@@ -26,8 +26,8 @@ int64_t optdock_separating_plane_rows(int64_t p, int64_t chosen, int64_t v2, int
                                       const int64_t *interval, const int64_t *left, const double *table,
                                       const double *poses, const double *required, const double *by_x,
                                       const double *by_y, const double *by_yaw, int64_t *node, double *rows);
-void optdock_term_points(int64_t gears, int64_t nodes, double before, double after, const int64_t *divisions,
-                         const double *lengths, const double *signs, const double *rollout, double *points);
+int64_t optdock_term_points(int64_t gears, int64_t nodes, double before, double after, const int64_t *divisions,
+                            const double *lengths, const double *signs, const double *rollout, double *points);
 int64_t optdock_minimizer(int64_t n, int64_t m, int64_t leading, int64_t guessed, int64_t rounds, double unbounded,
                           double tolerance, double attained, const double *h, const double *g, const double *a,
                           const double *bounds, const int64_t *guess, int64_t *ints, double *doubles);

@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stdint.h>
 
-double optdock_wrapped_angle(double angle);
+int64_t optdock_wrap_headings(int64_t n, double *points);
 int64_t optdock_sensitivity(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, const double *packed,
                             const int64_t *divisions, const double *z, const double *moved, double *out, double *work);
 
@@ -20,27 +20,28 @@ enum { SYMBOLS = 7, DERIVATIVES = 6 }; /* see `SYMBOLS` in terms.py; there is no
  *   lengths, signs   (gears,), lengths [m] and directions
  *   rollout          see `Rollout.packed`
  *   points           out, (nodes, 7) */
-void optdock_term_points(int64_t gears, int64_t nodes, double before, double after, const int64_t *divisions,
-                         const double *lengths, const double *signs, const double *rollout, double *points)
+int64_t optdock_term_points(int64_t gears, int64_t nodes, double before, double after, const int64_t *divisions,
+                            const double *lengths, const double *signs, const double *rollout, double *points)
 {
-    double passed = 0.0, left = 0.0;
+    double passed = 0.0, left = 0.0, *point = points;
     for (int64_t m = 0; m < gears; m++)
         left += lengths[m];
     for (int64_t m = 0, node = 0; m < gears; m++) {
         int64_t cells = divisions[2 * m + 1];
         left -= lengths[m];
-        for (int64_t i = 0; i <= cells; i++, node++, points += SYMBOLS) {
+        for (int64_t i = 0; i <= cells; i++, node++, point += SYMBOLS) {
             double share = (double)i / (double)cells;
-            points[0] = rollout[3 * node];
-            points[1] = rollout[3 * node + 1];
-            points[2] = optdock_wrapped_angle(rollout[3 * node + 2]);
-            points[3] = rollout[3 * nodes + node];
-            points[4] = before + (passed + share * lengths[m]);
-            points[5] = after + ((1.0 - share) * lengths[m] + left);
-            points[6] = signs[m];
+            point[0] = rollout[3 * node];
+            point[1] = rollout[3 * node + 1];
+            point[2] = rollout[3 * node + 2];
+            point[3] = rollout[3 * nodes + node];
+            point[4] = before + (passed + share * lengths[m]);
+            point[5] = after + ((1.0 - share) * lengths[m] + left);
+            point[6] = signs[m];
         }
         passed += lengths[m];
     }
+    return optdock_wrap_headings(nodes, points);
 }
 
 /* Whether hard term k can change its sign within a step at a node with this row of the table; see `TermBound`. */

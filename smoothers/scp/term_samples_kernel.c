@@ -30,14 +30,19 @@ static State moved_to(State at, const Break *from, double s)
     return (State){s, yaw, from->curvature + s * from->rate, c * at.cosine - n * at.sine, n * at.cosine + c * at.sine};
 }
 
-/* Return the equivalent angle in [-pi, pi), as the function `wrap_angles`. */
-double optdock_wrapped_angle(double angle)
+/* Replace the headings of n points by the equivalent angles in [-pi, pi), as the function `wrap_angles`.
+ *
+ *   points   in and out, (n, 7) */
+int64_t optdock_wrap_headings(int64_t n, double *points)
 {
     const double pi = 3.141592653589793;
-    double turned = angle + pi;
-    if (!(turned >= 0.0 && turned < 2.0 * pi))
-        turned = fmod(turned, 2.0 * pi);
-    return (turned < 0.0 ? turned + 2.0 * pi : turned) - pi;
+    for (double *yaw = points + 2; n > 0; n--, yaw += SYMBOLS) {
+        double turned = *yaw + pi;
+        if (!(turned >= 0.0 && turned < 2.0 * pi))
+            turned = fmod(turned, 2.0 * pi);
+        *yaw = (turned < 0.0 ? turned + 2.0 * pi : turned) - pi;
+    }
+    return 0;
 }
 
 /* Compute the symbols at evenly spaced samples of a spline, both ends included. The spline turns by 0.01 rad at most
@@ -56,7 +61,8 @@ int64_t optdock_clothoid_samples(int64_t n, int64_t count, int64_t has_places, d
     const Break *from = (const Break *)table, *last = from + count - 2;
     double length = last[1].s, step = length / (double)(n - 1), x = from->x, y = from->y;
     State at = state_at(from); /* where the position is (x, y) */
-    for (int64_t i = 0; i < n; i++, points += SYMBOLS) {
+    for (int64_t i = 0; i < n; i++) {
+        double *point = points + SYMBOLS * i;
         s[i] = i < n - 1 ? (double)i * step : length;
         while (from < last && s[i] >= from[1].s) {
             from++;
@@ -71,13 +77,13 @@ int64_t optdock_clothoid_samples(int64_t n, int64_t count, int64_t has_places, d
             y += half * (at.sine + next.sine) + bent * (at.curvature * at.cosine - next.curvature * next.cosine);
             at = next;
         }
-        points[0] = has_places ? x : 0.0;
-        points[1] = has_places ? y : 0.0;
-        points[2] = has_places ? optdock_wrapped_angle(at.yaw) : 0.0;
-        points[3] = from->curvature + (s[i] - from->s) * from->rate;
-        points[4] = driven + s[i];
-        points[5] = whole - points[4];
-        points[6] = sign;
+        point[0] = has_places ? x : 0.0;
+        point[1] = has_places ? y : 0.0;
+        point[2] = has_places ? at.yaw : 0.0;
+        point[3] = from->curvature + (s[i] - from->s) * from->rate;
+        point[4] = driven + s[i];
+        point[5] = whole - point[4];
+        point[6] = sign;
     }
-    return 0;
+    return has_places ? optdock_wrap_headings(n, points) : 0;
 }
