@@ -149,9 +149,9 @@ def _clothoid_samples(
 ) -> tuple[FloatArray, FloatArray]:
     """Return arc lengths, and the symbols there; `driven` and `whole` are those before the spline and of the path.
 
-    Positions are integrated from the last break by the trapezoidal rule with the derivatives at both ends of a step,
-    the Euler-Maclaurin formula ([Abramowitz1964] eq. 23.1.30). Its error is 1/720 of the fourth power of the turn of a
-    step, at most 0.01 rad, times the length, unless the curvature changes its sign within a step.
+    Positions are integrated from the last break by (S26), the trapezoidal rule with the derivatives at both ends of a
+    step ([Abramowitz1964] eq. 23.1.30). The error is 1/720 of the fourth power of the turn of a step, at most 0.01 rad,
+    times the length, unless the curvature changes its sign within a step.
     """
     s = np.linspace(0.0, spline.length, steps + 1)
     points = np.zeros((s.size, len(SYMBOLS)))

@@ -1,4 +1,5 @@
-/* Samples of clothoid splines for terms: the function `_clothoid_samples` of `term_samples.py` in C. */
+/* Samples of clothoid splines for terms, by equation (S26) of docs/theory/smoother.md: the function `_clothoid_samples` of
+ * `term_samples.py` in C. */
 
 #include <math.h>
 #include <stdint.h>
