@@ -39,6 +39,8 @@ def inevitable_collision(problem: DockingProblem) -> str:
         return ""
     gear = int(math.copysign(1.0, problem.start_speed))
     least = stopping_distance(MotionState(0.0, *problem.start_state(gear)), limits)
+    if least == 0.0:
+        return ""
     s = np.linspace(0.0, least, 2 + int(least / _SPACING))
     yaw = problem.start.yaw + bend * s
     along, middle = gear * s * np.sinc(bend * s / (2.0 * math.pi)), 0.5 * (problem.start.yaw + yaw)

@@ -103,3 +103,8 @@ def test_replan_stops_at_once_where_the_robot_cannot_stop_in_time():
     assert found.outcome is ReplanOutcome.STOP
     assert "m to stop" in found.reason
     assert found.tried == ()
+
+
+def test_nothing_is_claimed_about_a_robot_that_brakes_harder_than_the_jerk_limit_can_end():
+    slow = dataclasses.replace(LIMITS, max_jerk=0.13)
+    assert inevitable_collision(problem_with(box_at(0.8, 0.2), 0.1, 0.5, -0.4, slow)) == ""
