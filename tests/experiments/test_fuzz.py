@@ -214,6 +214,14 @@ def test_rules_of_a_path():
     assert broken(scene([{"type": "polyline", "poses": crab, "gear": 1}])) == {"slip"}
 
 
+def test_turns_in_place_are_no_length_that_allows_slip():
+    crab = [[0.01 * i, 0.01 * i * 0.0013, 0.0] for i in range(109)]  # drifts by 1.4 mm; 1.2 mm are allowed
+    turn = {"type": "turn", "start": crab[-1], "turn": -21.0, "gear": 0}
+    case = scene([{"type": "polyline", "poses": crab, "gear": 1}, turn])
+    found = max(finding.ratio for finding in findings(case, motion_of(case["path"])) if finding.kind == "slip")
+    assert found == pytest.approx(1.4e-3 / 1.2e-3, rel=0.05)
+
+
 def test_motion_ratios_against_closed_forms():
     # v = 0.4 m/s at constant speed over an arc of curvature 2, then over a clothoid of rate 1
     path = [clothoid([0.0, 1.0, 2.0], [2.0, 2.0, 3.0])]

@@ -134,17 +134,17 @@ def _sums(_: Case, motion: Motion) -> Iterator[Finding]:
     polylines = [segment for segment in motion.segments if segment.sampled]
     if not polylines:
         return
-    sideways, sampling, longest, still = [np.zeros(1)], 0.0, 0.0, 0.0
+    sideways, sampling, longest, still, driven = [np.zeros(1)], 0.0, 0.0, 0.0, 0.0
     for segment in polylines:
         steps = _steps(segment)
         sideways.append(segment.gear * steps.chord * np.sin(steps.slip))
         bends = np.abs(np.diff(steps.turn / steps.arc, prepend=steps.turn[:1] / steps.arc[:1]))
         sampling += float(np.sum(steps.arc**2 * np.maximum(bends, np.append(bends[1:], 0.0)))) / 12.0
-        longest = max(longest, float(np.max(steps.arc, initial=0.0)))
+        longest, driven = max(longest, float(np.max(steps.arc, initial=0.0))), driven + float(np.sum(steps.arc))
         chords = np.hypot(*np.diff(segment.poses[:, :2], axis=0).T)
         still += float(np.sum(chords[np.diff(segment.knots) <= 0.0]))
     drift = float(np.ptp(np.cumsum(np.concatenate(sideways))))
-    allowed = _DRIFT + _DRIFT_PER_METRE * motion.length + _SLIP * min(longest, _LONGEST)
+    allowed = _DRIFT + _DRIFT_PER_METRE * driven + _SLIP * min(longest, _LONGEST)
     # Sampling a smooth curve causes drift by itself, which is undecided here.
     least, most = (drift - sampling) / allowed, (drift + sampling) / allowed
     yield Finding("slip", least if least > 2.0 else min(most, 2.0), 0.0)
