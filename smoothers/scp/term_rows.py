@@ -75,7 +75,7 @@ class TermsAlong(NamedTuple):
     cost: float  # of the soft terms
     short: FloatArray  # largest shortfall of the hard terms, Shape (num_nodes,)
     worst: float  # largest of them
-    acts: bool  # whether the linearization has rows or costs
+    acts: bool  # whether the linearization has rows or costs, or a value is not a number
     # Hard terms minus their margins and soft terms, then their derivatives by each symbol, Shape (num_nodes, 7 terms).
     table: FloatArray
 
@@ -147,10 +147,11 @@ def _reduced(bound: TermBound, basis: Basis, lengths: FloatArray, table: FloatAr
 
 
 def _is_near(bound: TermBound, along: TermsAlong) -> BoolArray:
-    """Return whether a hard term can change its sign within a step, Shape (num_nodes, hard terms)."""
+    """Return whether a hard term can change its sign within a step or is not a number, Shape (num_nodes, hard terms)."""
     count = len(bound.terms.hard)
     within = np.array([bound.reach, bound.reach, bound.reach, bound.bend, bound.reach, bound.reach])
-    near: BoolArray = along.values[:, :count] < (within[:, None] * np.abs(along.slopes[:, :, :count])).sum(axis=1)
+    changes = (within[:, None] * np.abs(along.slopes[:, :, :count])).sum(axis=1)
+    near: BoolArray = ~(along.values[:, :count] >= changes)
     return near
 
 

@@ -44,14 +44,15 @@ int64_t optdock_term_points(int64_t gears, int64_t nodes, double before, double 
     return optdock_wrap_headings(nodes, points);
 }
 
-/* Whether hard term k can change its sign within a step at a node with this row of the table; see `TermBound`. */
+/* Whether hard term k can change its sign within a step at a node with this row of the table, or is not a number; see
+ * `TermBound`. */
 static int is_near(const double *row, int64_t count, int64_t k, double reach, double bend)
 {
     const double *slopes = row + count + k;
     double change = 0.0;
     for (int64_t j = 0; j < DERIVATIVES; j++)
         change += (j == 3 ? bend : reach) * fabs(slopes[j * count]);
-    return row[k] < change;
+    return !(row[k] >= change);
 }
 
 /* Weight of the trapezoidal rule at a node, as a share of the length of its gear. */
