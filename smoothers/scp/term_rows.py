@@ -147,7 +147,7 @@ def _reduced(bound: TermBound, basis: Basis, lengths: FloatArray, table: FloatAr
 
 
 def _is_near(bound: TermBound, along: TermsAlong) -> BoolArray:
-    """Return whether a hard term can change its sign within a step or is not a number, Shape (num_nodes, hard terms)."""
+    """Return where a hard term can change its sign within a step or is not a number, Shape (num_nodes, hard terms)."""
     count = len(bound.terms.hard)
     within = np.array([bound.reach, bound.reach, bound.reach, bound.bend, bound.reach, bound.reach])
     changes = (within[:, None] * np.abs(along.slopes[:, :, :count])).sum(axis=1)
