@@ -602,10 +602,14 @@ class _Portfolio:
         return float((clearances < 0.0).sum()) / _SAMPLES.size
 
     def _fail(self, failure: Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
+        """Record the failure of a guess or a planner; raise its error if the error holds for every path."""
         self._check_straight()
         reason = f"{type(failure.error).__name__}: {failure.error}"
         self.tried.append(Attempt(stage, path, seconds, reason=reason))
         self.failures.append(failure)
+        if failure.error.where.get("every_path") and self.best is None:
+            self._leave()
+            raise failure.error
 
     def _leave(self, left: PartialPlan | None = None) -> None:
         """Copy a partial plan to `so_far`, by default the partial plan of the most advanced guess."""

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.term_functions import TermSet
+    from smoothers.terms import HardTerm
 
 __all__ = [
     "Refusal",
@@ -236,16 +237,20 @@ def refuse_term(broken: SampledBound, path: Path) -> Refusal:
     return Refusal("term", broken.s, -broken.least, "", broken.violation, at, more, path)
 
 
-def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, after: float | None) -> Refusal | None:
+def refuse_terms_at_ends(
+    path: Path, problem: DockingProblem, terms: TermSet, after: float | None, *, is_whole: bool
+) -> Refusal | None:
     """Return the refusal of a hard term at the start or on the final straight, which every path contains, or None.
 
-    Terms that read a symbol whose value is not the same on all paths are not evaluated.
+    Terms that read a symbol whose value is not the same on all paths are not evaluated. If the refusal holds for other
+    gears as well, `every_path` in its `where` is True.
 
     Args:
         path: Input, whose gears all paths have.
         problem: Start and goal.
         terms: Terms.
         after: Distance left to drive from the goal of the problem [m]; None: only the start is checked.
+        is_whole: Whether the path is not a piece of a longer path, which may contain other pieces.
     """
     if not terms.hard:
         return None
@@ -261,8 +266,10 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
     known = fixed if problem.start_curvature is None else {*fixed, "curvature"}
     broken = _lowest(terms, values[:1], known)
     if broken is not None:
-        message = f"{broken[1]} at the start, where every path begins"
-        return Refusal("term", 0.0, broken[2], "", message, points[0, :3], {"term": broken[3]})
+        is_certain = is_whole and "gear" not in broken[3].function.reads
+        message, more = f"{broken[1]} at the start", {"term": broken[3].name, "every_path": is_certain}
+        message += f", where every path {'' if is_certain else 'in these gears '}begins"
+        return Refusal("term", 0.0, broken[2], "", message, points[0, :3], more)
     if after is None:
         return None
     broken = _lowest(terms, values[1:], {*fixed, "remaining", *(["curvature"] if straight > 0.0 else [])})
@@ -270,20 +277,22 @@ def refuse_terms_at_ends(path: Path, problem: DockingProblem, terms: TermSet, af
         return None
     row = broken[0]
     place = "at the goal" if back[row] == 0.0 else f"on the final straight, {back[row]:.3f} m before the goal"
-    message = f"{broken[1]} {place}, where every path ends"
-    at = points[1 + row, :3]
-    return Refusal("term", path.length - float(back[row]), broken[2], "", message, at, {"term": broken[3]})
+    in_all_gears = back[row] == 0.0 or problem.dock.direction is not DockDirection.AUTO
+    is_certain = is_whole and in_all_gears and "gear" not in broken[3].function.reads
+    message, more = f"{broken[1]} {place}", {"term": broken[3].name, "every_path": is_certain}
+    message += f", where every path {'' if is_certain else 'in these gears '}ends"
+    return Refusal("term", path.length - float(back[row]), broken[2], "", message, points[1 + row, :3], more)
 
 
-def _lowest(terms: TermSet, values: FloatArray, known: set[str]) -> tuple[int, str, float, str] | None:
-    """Return the row, a sentence, the amount and the name of the first violated hard term that reads only `known`."""
+def _lowest(terms: TermSet, values: FloatArray, known: set[str]) -> tuple[int, str, float, HardTerm] | None:
+    """Return the row, a sentence, the amount and the first violated hard term that reads only `known`."""
     for k, term in enumerate(terms.hard):
         if not term.function.reads <= known:
             continue
         row = values[:, k].argmin().item()  # of the first that is not a number, if any is
         value = -math.inf if math.isnan(values.item(row, k)) else values.item(row, k)
         if value < -_TOLERANCE:
-            return row, f"the term {term.name!r} is {value:.4g}, must be >= 0,", -value, term.name
+            return row, f"the term {term.name!r} is {value:.4g}, must be >= 0,", -value, term
     return None
 
 

@@ -394,7 +394,8 @@ class Solver:
         if refusal is None and is_last:
             refusal = refuse_approach(path, whole, start_clearance) or refuse_unseen_approach(path, whole)
         if refusal is None and call.terms is not None:
-            refusal = refuse_terms_at_ends(path, problem, call.terms, call.after if is_last else None)
+            after = call.after if is_last else None
+            refusal = refuse_terms_at_ends(path, problem, call.terms, after, is_whole=call.within is None)
         if refusal is not None:
             raise refusal.error()
         self._raise_if_late()

@@ -67,6 +67,36 @@ def test_an_impossible_term_is_the_reason_of_the_failure():
     assert no.value.where["term"] == "wall"
 
 
+def on_the_straight(p):
+    return (p.x - 2.8) ** 2 - 0.001
+
+
+@pytest.mark.parametrize(
+    ("term", "direction"),
+    [
+        (lambda p: p.x - 0.5, "auto"),
+        (lambda p: 2.9 - p.x, "auto"),
+        (lambda p: p.remaining - 0.1, "auto"),
+        (on_the_straight, "forward"),
+    ],
+)
+def test_a_term_that_every_path_violates_ends_the_call_at_the_first_guess(term, direction):
+    problem = dataclasses.replace(PROBLEM, dock=dataclasses.replace(PROBLEM.dock, direction=direction))
+    with pytest.raises(FailedToSmoothPath, match="where every path") as no:
+        plan_dock(problem, time_budget=BUDGET, smoother=CasadiSmoother(terms=[HardTerm("mine", term)]))
+    assert no.value.where["every_path"]
+    assert len(no.value.partial.tried) == 1
+
+
+@pytest.mark.parametrize("term", [on_the_straight, lambda p: 10.0 * p.x - p.gear])
+def test_a_term_that_may_hold_in_other_gears_does_not_end_the_call(term):
+    smoother = CasadiSmoother(terms=[HardTerm("mine", term)])
+    with pytest.raises(FailedToSmoothPath, match="where every path in these gears") as no:
+        plan_dock(PROBLEM, time_budget=BUDGET, smoother=smoother)
+    assert no.value.where["every_path"] is False
+    assert len(no.value.partial.tried) > 1
+
+
 CAR = Robot(
     Footprint.rectangle(3.76, 0.929, 1.942),
     MotionLimits(max_curvature=0.33, max_curvature_rate=0.36, wheelbase=2.8, max_steering_rate=0.5),
