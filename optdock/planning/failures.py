@@ -107,14 +107,12 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
 
 
 def _reason_of_every_guess(failures: Sequence[Failure], problem: DockingProblem) -> Failure | None:
-    """Return a failure whose reason applies to every guess and does not depend on the time limit, or None."""
+    """Return a failure whose reason applies to all gears in which a guess can end, whatever the time limit, or None."""
     gears = {Direction.FORWARD, Direction.REVERSE}
     if problem.dock.direction is not DockDirection.AUTO:
         gears = {Direction.FORWARD if problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
     for failure in failures:
         reason, raw = failure.error.where.get("reason"), failure.left.raw_path
-        if reason == "start_curvature":
-            return failure
         if reason in ("approach_blocked", "approach_unseen") and raw is not None:
             gears.discard(raw.segments[-1].direction)
             if not gears:

@@ -89,7 +89,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
     if steered is not None and abs(steered) > limit:
         message = f"the curvature at the start is {steered:.4g} 1/m, the limit is {limit:.4g} 1/m"
-        return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message)
+        return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message, more={"every_path": True})
     first, last = path.segments[0].direction, path.segments[-1].direction
     wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
     if wanted.get(problem.dock.direction, last) is not last:
@@ -146,7 +146,9 @@ def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | Non
     place = "at the goal" if before <= _GOAL_ALONE else f"on the final straight, {before:.3f} m before the goal"
     refusal = _unseen(broken, path.length - before, None)
     message = f"{place}: {broken.message.partition(': ')[2]} (every path ends there; see dock.blind_distance)"
-    return refusal._replace(reason="approach_unseen", message=f"the dock is not in the camera's view {message}")
+    message = f"the dock is not in the camera's view {message}"
+    more = {**refusal.more, "every_path": before <= _GOAL_ALONE or problem.dock.direction is not DockDirection.AUTO}
+    return refusal._replace(reason="approach_unseen", message=message, more=more)
 
 
 def _unseen(broken: Violation, s: float, path: Path | None) -> Refusal:

@@ -370,6 +370,7 @@ def test_a_start_curvature_beyond_the_limit_is_refused(smoother, cases):
         smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem)
     assert caught.value.where == {
         "reason": "start_curvature",
+        "every_path": True,
         "s": 0.0,
         "amount": pytest.approx(0.5),
         "obstacle": "",
