@@ -166,7 +166,7 @@ def test_blocked_approach_is_no_time_out(direction, paths, kind):
 
 
 def test_start_curvature_beyond_the_limit_is_no_time_out():
-    sharp = FailedToSmoothPath("start_curvature: 3 1/m", where={"reason": "start_curvature"})
+    sharp = FailedToSmoothPath("start_curvature: 3 1/m", where={"reason": "start_curvature", "every_path": True})
     assert type(refusal(Offers(AHEAD, end=PlannerTimedOut("late")), Says(sharp))) is FailedToSmoothPath
 
 
