@@ -34,6 +34,7 @@ TESTS = (
     "tests/smoothers/test_loop_kernel.py",
     "tests/smoothers/test_rollout_kernel.py",
     "tests/smoothers/test_term_kernels.py",
+    "tests/smoothers/test_view.py::test_the_kernel_is_equal_to_numpy",
     "tests/optdock/test_deformation.py::test_kernels_return_what_their_twins_do",
     "tests/optdock/test_deformation.py::test_derivatives_are_those_of_finite_differences",
     "tests/optdock/test_minimizer.py::test_the_guess_does_not_change_the_solution",

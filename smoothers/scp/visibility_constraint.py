@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
+from optdock.geometry.lazy import cached_property
+from optdock.kernels import Kernel, twin_of
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.rollout import sensitivity
 
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SeenPlaces", "ViewBound", "linearized_view", "view_along"]
 
+_KERNEL = Kernel("optdock_seen_along", sizes=3, numbers=1)
 _SAME_PLACE = 1e-9  # [m]: rounding of the places where the stretch begins and ends
 
 
@@ -39,6 +43,21 @@ class ViewBound:
     signs: FloatArray  # gears, Shape (num_gears,)
     after: float  # distance from the last node to the goal [m]: the final straight, and later pieces of the path
     reach: float  # larger margins have no row [m]
+
+    @cached_property
+    def packed(self) -> FloatArray:
+        """Stretch, marker and camera, see `View` in the kernel."""
+        view, camera, mount = self.view, self.view.camera, self.view.camera.mount
+        stretch = view.visible_distance, view.blind_distance, self.after
+        limits = 0.5 * camera.field_of_view, camera.min_range, camera.max_range
+        return readonly(np.array((*stretch, *view.marker, mount.x, mount.y, mount.yaw, *limits)))
+
+    @cached_property
+    def num_edges(self) -> int:
+        """Number of edges of the view."""
+        camera = self.view.camera
+        cone = 0 if camera.sees_all_around else 1 if camera.field_of_view > np.pi else 2
+        return cone + (camera.min_range > 0.0) + bool(np.isfinite(camera.max_range))
 
 
 class SeenPlaces(NamedTuple):
@@ -54,14 +73,42 @@ class SeenPlaces(NamedTuple):
 
 def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
     """Return the view at the positions along the path where it is required."""
-    left = _left_to_drive(bound, basis, variables)
-    node, ahead = _places(bound.view, left)
+    found, problem = _seen_along(bound, basis, variables, rollout), bound.problem
+    tube = problem.robot.tracking
+    if tube.cross == 0.0 and tube.yaw == 0.0:
+        return found
+    to_ends = [np.hypot(*(found.poses[:, :2] - at.as_array()[:2]).T) for at in (problem.goal, problem.start)]
+    required = problem.required_view_margin(to_ends[0], to_ends[1], np.hypot(*found.seen.T))
+    return found._replace(margin=found.margin - required)
+
+
+def _seen_natively(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
+    gears, nodes, edges = basis.num_gears, basis.num_nodes, bound.num_edges
+    node, out, work = np.empty(nodes + 2, dtype=np.int64), np.empty((6 + 3 * edges) * (nodes + 2)), (3 + edges) * nodes
+    arrays = (
+        (basis.divisions, 2 * gears),
+        (bound.packed, bound.packed.size),
+        (bound.signs, gears),
+        (variables.lengths, gears),
+        (rollout.packed, 4 * nodes + 6 * basis.num_intervals),
+        (node, nodes + 2),
+        (out, out.size),
+        (np.empty(work), work),
+    )
+    p = _KERNEL((gears, nodes, edges), (_SAME_PLACE,), arrays)
+    ahead, poses, seen, normals, margin, _ = np.split(out, np.cumsum((p, 3 * p, 2 * p, 2 * edges * p, edges * p)))
+    shaped = poses.reshape(p, 3), seen.reshape(p, 2), normals.reshape(edges, p, 2), margin.reshape(edges, p)
+    return SeenPlaces(node[:p], ahead, *shaped)
+
+
+@twin_of(_seen_natively)
+def _seen_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
+    """Return the result of `view_along` without the margin that the tracking tube requires."""
+    node, ahead = _places(bound.view, _left_to_drive(bound, basis, variables))
     poses = _driven_on(bound, basis, rollout, node, ahead)
     seen, normals, margin = _edges(bound.view, poses)
     lost = _lost_between(basis, _edges(bound.view, rollout.poses)[2])
-    to_ends = [np.hypot(*(poses[:, :2] - at.as_array()[:2]).T) for at in (bound.problem.goal, bound.problem.start)]
-    required = bound.problem.required_view_margin(to_ends[0], to_ends[1], np.hypot(*seen.T))
-    return SeenPlaces(node, ahead, poses, seen, normals, margin - required - lost[:, node])
+    return SeenPlaces(node, ahead, poses, seen, normals, margin - lost[:, node])
 
 
 def linearized_view(

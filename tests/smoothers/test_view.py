@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.camera import Camera
 from optdock.model.dock import DockDirection
 from optdock.model.path import ClothoidSegment, Path, TurnSegment
@@ -73,6 +75,30 @@ def test_margins_are_those_of_the_camera_and_only_of_the_stretch(driven):
     truth = bound.view.margins(found.poses).smallest
     assert np.all(found.margin.min(axis=0) <= truth + 1e-12)
     assert np.median(truth - found.margin.min(axis=0)) < 0.01
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("visible", "blind"), [(1.71, 0.33), (100.0, 0.0), (0.9, 0.1), (0.2, 0.15), (100.0, 99.0)])
+def test_the_kernel_is_equal_to_numpy(cases, name, seed, visible, blind):
+    """Stretches that begin and end between nodes, contain the whole path, an end alone, or nothing."""
+    basis, variables, start, signs = cases.random_path(seed, ((6, 2), (5, 3)))
+    rollout = roll_out(basis, variables, start, signs)
+    goal = Pose2.from_sequence(rollout.poses[-1])
+    task = seen_problem(cases, goal, CAMERAS[name], visible=visible, blind=blind, marker=(0.2, 0.4))
+    bound = ViewBound(task.required_view, task, signs, (0.1, 0.0)[seed % 2], 0.35)
+    if seed == 3:  # the stretch ends exactly at a cusp
+        bound = dataclasses.replace(bound, view=bound.view._replace(blind_distance=float(variables.lengths[-1])))
+    found = []
+    for lane in ("twin", "native"):
+        with using_kernels(lane):
+            found.append(view_along(bound, basis, variables, rollout))
+            assert "NumPy for" not in kernels_in_use()
+    assert np.array_equal(found[0].node, found[1].node)
+    for one, other in zip(*found, strict=True):
+        assert one.shape == other.shape
+        assert other == pytest.approx(one, rel=1e-12, abs=1e-12)
 
 
 def test_rows_are_the_derivatives_of_the_margins(driven):
