@@ -302,6 +302,14 @@ def test_cut_equals_the_piece_of_the_library():
         assert mine.poses_at(s) == pytest.approx(rest.poses_at(s), abs=1e-8)
 
 
+def test_a_path_that_cannot_be_cut_everywhere_is_minimised():
+    """Without the knot at the end of a spike, the curvature of the spike holds along a metre."""
+    spike = clothoid([0.0, 0.5, 0.5 + 1e-13, 0.5 + 2e-13, 1.5], [0.0, 0.0, 1e12, 0.0, 0.0])
+    case = {**scene([spike]), "kind": "paths"}
+    smaller = minimised(case, Verdict("false refusal"), lambda _: Verdict("false refusal"))
+    assert len(smaller["path"][0]["knots"]) == 2
+
+
 def test_shrinking_keeps_the_fault():
     posts = [[[x, 1.0], [x + 0.1, 1.0], [x, 1.1]] for x in range(6)]
     case = scene([clothoid([0.0, 0.5, 1.0, 1.5], [0.0, 0.1, 0.0, 0.0])], obstacles=posts, limits={"max_speed": 1.0})

@@ -27,6 +27,7 @@ __all__ = ["Motion", "Segment", "cut", "motion_of", "step_arc"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _NODES, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 _TURN_PER_PIECE = 1.0
+_MOST_PIECES = 10_000_000  # of a clothoid
 _SAME_POSITION = 1e-9  # [m]: the documented length below which a step has no direction
 
 
@@ -184,6 +185,8 @@ def _clothoid(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
     knots, curvature = np.array(gear["knots"], dtype=float), np.array(gear["curvature"], dtype=float)
     h, k0, k1 = np.diff(knots), curvature[:-1], curvature[1:]
     parts = np.maximum(1, np.ceil(h * np.maximum(np.abs(k0), np.abs(k1)) / _TURN_PER_PIECE)).astype(np.int64)
+    if parts.sum() > _MOST_PIECES:
+        raise ValueError(f"a clothoid turns by {float(np.sum(parts)) * _TURN_PER_PIECE:.3g} rad")
     owner = np.repeat(np.arange(h.size), parts)
     rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     rise = (k1 - k0) / parts
