@@ -1,10 +1,9 @@
 """Second judge of plan files: `python judge.py plan.json` accepts or refuses path, clearance and motion limits.
 
-Only the standard library is imported; this file may be copied anywhere. Intervals are rounded outwards, so a verdict
-holds for real numbers. Numbers in parentheses refer to docs/theory/certificate.md. A plan file states robot, start,
-dock, rules, and all obstacles that meet a box (`region`). `cells` divides the path, and names a separating direction
-for every obstacle nearby. Trusted are this statement of the problem, the interpreter, IEEE 754, and `math.sin` and
-`math.cos` within 2^-50. Exit status: 0 accepted; 3 refused, with the rule and its place; 2 no plan file with a proof.
+Only the standard library is imported. Intervals are rounded outwards, so a verdict holds for real numbers. Numbers in
+parentheses refer to docs/theory/certificate.md. A plan file states the problem, with all obstacles that meet a box
+(`region`). `cells` divides the path, and names a separating direction for every obstacle nearby. Trusted are this
+statement, the interpreter, IEEE 754, and sin and cos within 2^-50. Exit status: 0 accepted, 3 refused, 2 no proof.
 """
 
 from __future__ import annotations
@@ -253,7 +252,8 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
         place = max(0.0, last.length.lo - wanted) + 1e-9  # a rounded knot is no curvature, but 2 nm may not turn
         far, near = (max(i for i, k in enumerate(last.knots[:-1]) if i == 0 or k <= place - d) for d in (2e-9, 0.0))
         bends = [last.bend_at(near, _Span(place)).size, *map(abs, last.bends[near + 1 :])]
-        _hold(max(bends) <= TOLERANCE >= 2e-9 * max(map(abs, last.bends[far : near + 2])), "final_straight: it bends")
+        turns = [last.bend_at(far, _Span(max(0.0, place - 2e-9))).size, *map(abs, last.bends[far + 1 : near + 1])]
+        _hold(max(bends) <= TOLERANCE >= 2e-9 * max(turns), "final_straight: it bends")
 
 
 class _Polynomial:  # in time, with intervals as coefficients, the constant one first

@@ -332,8 +332,9 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         error, allowed = _straight_error(poses, problem.goal), STRAIGHT_TOLERANCE
     else:
         s = np.concatenate(([begin], last.knots[inside]))
-        first, after = last.knots.searchsorted((begin - _ROUNDED, begin), side="right").tolist()
-        sharpest = float(np.abs(last.curvature_at(last.knots[max(0, first - 1) : after + 1])).max())
+        before = max(0.0, begin - _ROUNDED)
+        near = np.concatenate(([before], last.knots[(last.knots > before) & ~inside]))
+        sharpest = float(np.abs(last.curvature_at(near)).max())
         error, allowed = np.append(np.abs(last.curvature_at(s)), _ROUNDED * sharpest), TOLERANCE
     worst = float(np.max(error))
     if not worst <= allowed:

@@ -163,6 +163,12 @@ def test_a_turn_within_the_rounding_of_the_place_where_the_straight_begins_is_se
     assert found == ([] if place < -1e-9 else ["final_straight"])
 
 
+def test_a_sharp_bend_may_end_where_the_straight_begins():
+    path = path_of(spline((0.0, 0.5, 0.5001, 1.0), (0.0, -3000.0, 0.0, 0.0)))
+    sharp = MotionLimits(max_curvature=np.inf, max_curvature_rate=np.inf)
+    assert kinds(path, problem(path, sharp, final_straight=0.4999)) == []
+
+
 def test_a_kink_of_curvature_inside_the_final_straight_is_seen():
     path = path_of(spline((0.0, 2.0, 2.2, 2.21, 2.22, 2.5), (0.0, 0.0, 0.0, 0.01, 0.0, 0.0)))
     assert kinds(path, problem(path, final_straight=0.5)) == ["final_straight"]
