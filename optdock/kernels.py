@@ -294,6 +294,8 @@ def _difference(first: object, second: object) -> str:
         parts = [_difference(a, b) for a, b in zip(first, second, strict=False)]
         told = [f"part {i}: {part}" for i, part in enumerate(parts) if part]
         return "; ".join(told) if len(first) == len(second) else f"{len(first)} and {len(second)} parts"
+    if isinstance(first, tuple) or isinstance(second, tuple):  # the other is None
+        return f"{type(first).__name__} and {type(second).__name__}"
     a, b = np.asarray(first), np.asarray(second)
     if a.shape != b.shape or a.dtype != b.dtype:
         return f"{a.dtype} {a.shape} and {b.dtype} {b.shape}"

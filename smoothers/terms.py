@@ -58,7 +58,7 @@ class TermFunction:
     """Expression of a term, without the values of its parameters."""
 
     # Of the symbols, Shape (7,), and the parameters: the value, and a number that is not finite if an argument of a
-    # comparison, a minimum or a maximum is not finite. These functions can hide NaN: fmin(1, NaN) is 1.
+    # comparison, a minimum, or another function that can hide NaN is not finite: fmin(1, NaN) is 1.
     function: casadi.Function
     reads: frozenset[str]  # names of the symbols on which the value depends
 
@@ -177,10 +177,11 @@ def _function_of(name: str, expression: Callable[[PathPoint], casadi.SX], parame
 
 
 def _hidden(expression: casadi.SX) -> casadi.SX:
-    """Return a sum of the arguments of all comparisons, minima and maxima that contribute to an expression."""
+    """Return a sum of the arguments of all functions in an expression that can return a number for NaN."""
     import casadi
 
-    hiding = {casadi.OP_FMIN, casadi.OP_FMAX, casadi.OP_LT, casadi.OP_LE, casadi.OP_EQ, casadi.OP_NE}
+    hiding = {casadi.OP_FMIN, casadi.OP_FMAX, casadi.OP_LT, casadi.OP_LE, casadi.OP_EQ, casadi.OP_NE, casadi.OP_NOT}
+    hiding |= {casadi.OP_AND, casadi.OP_OR, casadi.OP_COPYSIGN, casadi.OP_POW, casadi.OP_CONSTPOW}
     known: dict[int, casadi.SX] = {}
     left = [expression]
     while left:
@@ -193,6 +194,7 @@ def _hidden(expression: casadi.SX) -> casadi.SX:
         left.pop()
         sums = [known[part.element_hash()] for part in parts]
         if parts and node.op() == casadi.OP_IF_ELSE_ZERO:  # a branch that is not taken may have no value
+            sums = [*sums, parts[0]]
             sums[1] = casadi.if_else(parts[0], sums[1], 0.0)
         elif parts and node.op() in hiding:
             sums += parts

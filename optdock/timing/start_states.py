@@ -37,8 +37,7 @@ def full_stop(start: MotionState, bounds: DriveBounds) -> Phases:
 def stopping_distance(start: MotionState, limits: MotionLimits) -> float:
     """Return the distance of full braking to rest [m].
 
-    It is 0 if the speed changes its sign by more than the start covers before the jerk limit lets the deceleration end,
-    which happens if the start brakes harder than these limits allow.
+    It is 0 if the start brakes so hard that, within the jerk limit, the robot would roll back behind it.
     """
     bounds = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
     return max(0.0, Motion.of(start, full_stop(start, bounds)).end.s)

@@ -481,7 +481,8 @@ class Solver:
         if nlp.terms is not None and refused.terms is not None and judged is not None:
             path, verdict = judged
             if verdict.certificate.certified:  # a hard term is violated
-                return replace(nlp, terms=tightened(nlp.terms, nlp.basis, refused.variables, path))
+                allowance = nlp.settings.loop.end_allowance
+                return replace(nlp, terms=tightened(nlp.terms, nlp.basis, refused.variables, path, allowance))
         if refused.feasible:
             return _more_cautious(nlp, chosen)
         return with_intervals(nlp, [chosen.repair_finer * cells for _, cells in nlp.basis.shape])

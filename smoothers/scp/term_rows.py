@@ -228,14 +228,18 @@ def linearized_terms(
     return rows._replace(costs=np.concatenate((gradient, hessian), axis=None))
 
 
-def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) -> TermBound:
+def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path, allowance: float) -> TermBound:
     """Return the bound with larger margins at the nodes next to samples of `path` where a hard term is negative.
+
+    On the final straight only `s` can change, by the same amount as at the last node. A term that is negative there
+    must exceed its decrease on the straight at the last node.
 
     Args:
         bound: Terms along the path or piece.
         basis: Basis.
         variables: Variables of the path.
         path: Exact path of these variables, with the final straight.
+        allowance: Shortfall that the search allows at the last node.
     """
     count, driven = len(bound.terms.hard), bound.before + _done(basis) @ variables.lengths
     straight = float(path.driven - (driven[-1] - bound.before))
@@ -246,8 +250,14 @@ def tightened(bound: TermBound, basis: Basis, variables: Variables, path: Path) 
     margins = np.zeros((len(driven), count))
     for node in (after - 1, after):
         np.maximum.at(margins, node, _TIGHTENED * short)
-    margins[[0, -1]] = 0.0  # the ends are given
-    return replace(bound, margins=margins if bound.margins is None else bound.margins + margins)
+    margins[[0, -1]] = 0.0  # the poses of the ends are given
+    if bound.margins is not None:
+        margins += bound.margins
+    is_short = (short[samples[:, 4] >= driven[-1]] > 0.0).any(axis=0)
+    for k in np.flatnonzero(is_short).tolist():
+        at_last = float(np.interp(driven[-1], samples[:, 4], values[:, k]))
+        margins[-1, k] = at_last - values[samples[:, 4] >= driven[-1], k].min() + allowance
+    return replace(bound, margins=margins)
 
 
 def require_numbers(bound: TermBound, points: FloatArray, along: TermsAlong) -> None:

@@ -131,17 +131,26 @@ static void by_variables(int64_t size, int64_t knots, int64_t nodes, const doubl
     }
 }
 
-/* Whether the value of term k at a node is one of the `most` lowest near ones, of equal ones the first. */
-static int is_low(int64_t nodes, int64_t count, int64_t k, double reach, double bend, const double *table,
-                  int64_t node, int64_t most)
+/* The last of the `most` near nodes with the lowest values of term k, of equal values the first nodes; -1 if there are not
+ * more near nodes.
+ *
+ *   lowest   work, (min(most, nodes),) */
+static int64_t last_low(int64_t nodes, int64_t count, int64_t k, double reach, double bend, const double *table,
+                        int64_t most, int64_t *lowest)
 {
-    int64_t width = (1 + DERIVATIVES) * count, lower = 0;
-    double value = table[node * width + k];
+    int64_t width = (1 + DERIVATIVES) * count, near = 0;
     for (int64_t i = 0; i < nodes; i++) {
-        double other = table[i * width + k];
-        lower += (other < value || (other == value && i < node)) && is_near(table + i * width, count, k, reach, bend);
+        const double *row = table + i * width;
+        if (!is_near(row, count, k, reach, bend))
+            continue;
+        int64_t at = near < most ? near : most;
+        for (near++; at > 0 && row[k] < table[lowest[at - 1] * width + k]; at--)
+            if (at < most)
+                lowest[at] = lowest[at - 1];
+        if (at < most)
+            lowest[at] = i;
     }
-    return lower < most;
+    return near > most ? lowest[most - 1] : -1;
 }
 
 /* Linearize the terms at a path.
@@ -170,12 +179,14 @@ int64_t optdock_linearized_terms(int64_t gears, int64_t knots, int64_t nodes, in
     for (int64_t j = 0; soft > 0 && j < size + size * size; j++)
         costs[j] = 0.0;
     for (int64_t k = 0; k < count; k++) {
+        int64_t last = k < hard ? last_low(nodes, count, k, reach, bend, table, most, node + found) : -1;
+        double highest = last < 0 ? INFINITY : table[last * width + k];
         for (int64_t m = 0, i = 0; m < gears; m++) {
             int64_t cells = divisions[2 * m + 1];
             for (int64_t cell = 0; cell <= cells; cell++, i++) {
                 const double *at = table + i * width;
                 int is_row = k < hard && is_near(at, count, k, reach, bend) &&
-                             (nodes <= most || is_low(nodes, count, k, reach, bend, table, i, most));
+                             (at[k] < highest || (at[k] == highest && i <= last));
                 if (!is_row && (k < hard || at[k] == 0.0))
                     continue;
                 by_variables(size, knots, nodes, by, hats + i * knots, i, m, (double)cell / (double)cells,

@@ -378,6 +378,9 @@ def test_an_audit_compares_every_part_of_a_result():
     assert "part 0" in kernels._difference(first, (np.array([0, 1, 3]), (2.0, np.inf)))
     assert "part 1: part 1" in kernels._difference(first, (np.arange(3), (2.0, 1.0)))
     assert "2 and 1 parts" in kernels._difference(first, (np.arange(3),))
+    assert "tuple and NoneType" in kernels._difference(first, None)
+    assert "NoneType and tuple" in kernels._difference(None, first)
+    assert kernels._difference(None, None) == ""
 
 
 # The door

@@ -88,30 +88,26 @@ def test_terms_without_effect_do_not_act(cases):
     assert in_both_lanes(terms_along, nearer, basis, variables.lengths, points).acts
 
 
-@pytest.mark.parametrize("lowest", [0, 1])
-def test_of_many_near_nodes_those_with_the_lowest_values_have_rows(lowest):
-    """A path of more nodes than rows; with `lowest` the values of all nodes are equal, and the first ones remain."""
+@pytest.mark.parametrize("are_equal", [False, True])
+def test_of_many_near_nodes_those_with_the_lowest_values_have_rows(are_equal):
+    """A path of more nodes than rows; if the values of all nodes are equal, the first ones have rows."""
     case = instance(next(iter(FEASIBLE_FAMILIES)), 0)
-    term = (
-        HardTerm("all", lambda p: 0.5 - 0.1 * casadi.sin(7.0 * p.x)) if not lowest else HardTerm("all", lambda _: 0.5)
-    )
-    nlp, guess = program_of(case.problem, case.raw_path, [term])
-    iterate = evaluated(
-        dataclasses.replace(nlp, terms=dataclasses.replace(nlp.terms, reach=1e9)), np.concatenate(guess)
-    )
+    nlp, guess = program_of(case.problem, case.raw_path, [HardTerm("all", lambda p: 0.5 - 0.1 * casadi.sin(7.0 * p.x))])
+    iterate = evaluated(nlp, np.concatenate(guess))
     assert nlp.basis.num_nodes > 48
+    values = iterate.terms.values[:, 0]
+    if are_equal:
+        values[:] = 0.5
     bound = dataclasses.replace(nlp.terms, reach=1e9, bend=1e9)
     found = in_both_lanes(linearized_terms, bound, nlp.basis, iterate.variables, iterate.rollout, iterate.terms)
-    if lowest:
-        assert found.node.size == 0  # the term depends on nothing
-    else:
-        assert found.node.size <= 48
-        assert found.rows[:, 0].max() <= np.sort(iterate.terms.values[:, 0])[48]
+    lowest = np.sort(np.argsort(values, kind="stable")[:48])
+    assert set(found.node) <= set(lowest)
+    assert found.node.size >= 47  # the first node is given
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_kernel_of_an_evaluation_writes_the_symbols(seed):
-    case = instance(list(FEASIBLE_FAMILIES)[seed], seed)
+@pytest.mark.parametrize("family", ["open_s", "alcove", "reverse_cusp"])
+def test_the_kernel_of_an_evaluation_writes_the_symbols(family):
+    case = instance(family, 0)
     nlp, guess = program_of(case.problem, case.raw_path, [HardTerm("far", lambda p: 100.0 - p.y), LATE])
     found = in_both_lanes(evaluated, nlp, np.concatenate(guess))
     wanted = term_points(nlp.terms, nlp.basis, found.variables, found.rollout)

@@ -300,3 +300,14 @@ def test_a_hard_term_that_is_not_a_number_on_the_first_path_is_named(scene):
     with pytest.raises(FailedToSmoothPath, match="'mine' is not a finite number at s = .* on the first path") as no:
         smoothed(scene, HardTerm("mine", lambda p: casadi.log(casadi.fabs(p.s - 2.0) - 0.5) + 1000.0))
     assert_refused(no.value, "mine")
+
+
+def test_a_bound_on_the_driven_distance_holds_on_the_final_straight_too(scene):
+    """It binds at the goal alone, behind the last node."""
+    most = 0.999 * smoothed(scene).path.length
+    found = smoothed(scene, HardTerm("mine", lambda p: p.most - p.s, most=most)).path
+    assert scene[0].dock.final_straight > 0.0
+    assert found.driven <= most + 1e-6
+    assert found.driven == pytest.approx(
+        smoothed(scene, HardTerm("mine", lambda p: p.most - p.s - p.remaining, most=most)).path.driven, abs=0.01
+    )

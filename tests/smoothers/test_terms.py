@@ -259,6 +259,12 @@ def test_wrong_values_and_sets_are_refused():
         (lambda p: casadi.if_else(p.x > 0.0, casadi.fmin(1.0, casadi.log(p.x)), 2.0), [False, False]),
         (lambda p: casadi.if_else(p.x > 0.0, 2.0, casadi.fmin(1.0, casadi.log(p.x))), [True, False]),
         (lambda p: casadi.fmin(1.0, casadi.fabs(p.x)), [False, False]),
+        (lambda p: casadi.if_else(casadi.log(p.x), 1.0, 2.0), [True, False]),
+        (lambda p: 1.0 + casadi.logic_not(casadi.log(p.x)), [True, False]),
+        (lambda p: 1.0 + casadi.logic_and(casadi.log(p.x), p.y), [True, False]),
+        (lambda p: casadi.copysign(2.0 + p.y, casadi.fabs(casadi.log(p.x))), [True, False]),
+        (lambda p: casadi.log(p.x) ** p.y, [True, False]),
+        (lambda p: casadi.power(1.0 + 0.0 * p.y, casadi.log(p.x)), [True, False]),
     ],
 )
 def test_a_number_that_does_not_exist_is_not_hidden_by_minima_and_comparisons(expression, bad):
