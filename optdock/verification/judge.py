@@ -249,11 +249,11 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
         _hold(abs(first.bends[0] - start["curvature"]) <= TOLERANCE, "start_curvature: differs from that of the start")
     if (wanted := dock["final_straight"]) > 0.0:
         _hold(last in driven and last.length.lo >= wanted - TOLERANCE, "final_straight: the last gear is too short")
-        place = max(0.0, last.length.lo - wanted) + 1e-9  # a rounded knot is no curvature, but 2 nm may not turn
-        far, near = (max(i for i, k in enumerate(last.knots[:-1]) if i == 0 or k <= place - d) for d in (2e-9, 0.0))
+        begin, place = (max(0.0, last.length.lo - wanted) + d for d in (0.0, 1e-9))  # a rounded knot is no curvature
+        far, near = (max(i for i, knot in enumerate(last.knots[:-1]) if knot <= at) for at in (begin, place))
         bends = [last.bend_at(near, _Span(place)).size, *map(abs, last.bends[near + 1 :])]
-        turns = [last.bend_at(far, _Span(max(0.0, place - 2e-9))).size, *map(abs, last.bends[far + 1 : near + 1])]
-        _hold(max(bends) <= TOLERANCE >= 2e-9 * max(turns), "final_straight: it bends")
+        turns = [last.bend_at(far, _Span(begin)).size, *map(abs, last.bends[far + 1 : near + 1])]
+        _hold(max(bends) <= TOLERANCE >= 1e-9 * max(turns), "final_straight: it bends")
 
 
 class _Polynomial:  # in time, with intervals as coefficients, the constant one first

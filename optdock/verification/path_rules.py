@@ -29,7 +29,7 @@ BULGE_TOLERANCE = 0.005  # [m] between the straight motion of a polyline step an
 DRIFT_TOLERANCE, DRIFT_PER_METRE = 1e-3, 1e-4  # [m], [m/m] of lateral slip; yaws rounded to 1e-4 rad drift as much
 LONGEST_STEP = 0.2  # [m], longest step for which one step of full slip is allowed in addition
 ROUNDING = TOLERANCE  # [m], [rad] of sampled poses: coordinates in files
-_ROUNDED = 2e-9  # [m]: places on a path are known that well
+_ROUNDED = 1e-9  # [m]: knots are known that well
 STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: final straight of a polyline
 _LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # the angle is included in max_curvature
 
@@ -322,9 +322,10 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         message = f"the last gear is {driven:.3f} m long, the final straight needs {wanted:.3f} m"
         yield Violation("final_straight", message, path.length, wanted - driven)
         return
-    # One nanometre further, so that rounding of the knot at the beginning does not count as curvature. Up to there from
-    # one nanometre before, a path must not turn, however sharply it may bend.
-    begin = max(0.0, last.length - wanted) + 0.5 * _ROUNDED
+    # One nanometre further, so that rounding of the knot at the beginning does not count as curvature. Within this
+    # nanometre a path must not turn, however sharply it may bend.
+    before = max(0.0, last.length - wanted)
+    begin = before + _ROUNDED
     inside = last.knots > begin
     if isinstance(last, PolylineSegment):
         # The poses themselves, because arc length cannot distinguish the poses of a turning step.
@@ -332,7 +333,6 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         error, allowed = _straight_error(poses, problem.goal), STRAIGHT_TOLERANCE
     else:
         s = np.concatenate(([begin], last.knots[inside]))
-        before = max(0.0, begin - _ROUNDED)
         near = np.concatenate(([before], last.knots[(last.knots > before) & ~inside]))
         sharpest = float(np.abs(last.curvature_at(near)).max())
         error, allowed = np.append(np.abs(last.curvature_at(s)), _ROUNDED * sharpest), TOLERANCE

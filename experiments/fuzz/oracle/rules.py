@@ -214,10 +214,14 @@ def _straight(case: Case, motion: Motion) -> Iterator[Finding]:
     if driven < wanted - 0.5e-6:
         yield Finding("final_straight", (wanted - driven) / _POSE, motion.length)
         return
-    begin = last.start_s + last.length - wanted
+    begin, h = (
+        last.length - wanted,
+        motion.h[last.first : last.stop],
+    )  # from the begin of the gear, as exact as its knots
+    places = np.concatenate(([0.0], np.cumsum(h)[:-1]))
     piece = np.repeat(np.arange(last.first, last.stop), 5)
     share = np.tile(np.linspace(0.0, 1.0, 5), last.stop - last.first)
-    share = np.maximum(share, (begin - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300))
+    share = np.maximum(share, (begin - places[piece - last.first]) / np.maximum(motion.h[piece], 1e-300))
     inside = share <= 1.0 - 1e-9
     goal = case["dock"]["pose"]
     poses = motion.poses_at(piece[inside], share[inside])
@@ -231,4 +235,4 @@ def _straight(case: Case, motion: Motion) -> Iterator[Finding]:
     entered = np.append(np.interp(last.length - wanted, last.knots, last.curvature) if last.exact else 0.0,
                         last.curvature[last.knots > last.length - wanted] if last.exact else [])  # fmt: skip
     curved = bool(np.any(np.abs(entered) > 0.5e-6))
-    yield Finding("final_straight", max(worst, 1.0) if curved else worst, begin)
+    yield Finding("final_straight", max(worst, 1.0) if curved else worst, last.start_s + begin)
