@@ -326,16 +326,13 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     # nanometre a path must not turn, however sharply it may bend.
     before = max(0.0, last.length - wanted)
     begin = before + _ROUNDED
-    inside = last.knots > begin
     if isinstance(last, PolylineSegment):
         # The poses themselves, because arc length cannot distinguish the poses of a turning step.
-        poses = np.concatenate((last.poses_at(begin), last.poses[inside]))
+        poses = np.concatenate((last.poses_at(begin), last.poses[last.knots > begin]))
         error, allowed = _straight_error(poses, problem.goal), STRAIGHT_TOLERANCE
     else:
-        s = np.concatenate(([begin], last.knots[inside]))
-        near = np.concatenate(([before], last.knots[(last.knots > before) & ~inside]))
-        sharpest = float(np.abs(last.curvature_at(near)).max())
-        error, allowed = np.append(np.abs(last.curvature_at(s)), _ROUNDED * sharpest), TOLERANCE
+        s = np.concatenate(([before, begin], last.knots[last.knots > before]))
+        error, allowed = np.abs(last.curvature_at(s)) * np.where(s < begin, _ROUNDED, 1.0), TOLERANCE
     worst = float(np.max(error))
     if not worst <= allowed:
         at = path.length - wanted

@@ -63,14 +63,14 @@ static double share_of(int64_t node, int64_t cells)
 
 /* Reduce the terms at the nodes to their cost and shortfalls.
  *
- *   gears, hard, soft   numbers; margins: 0, or nodes times `hard`
- *   reach, bend                see `TermBound`
- *   divisions, lengths  see `optdock_term_points`
- *   weights                    (soft + margins,), weights [1/m], and values subtracted from the hard terms (nodes, hard)
- *   table                      (nodes, 7 terms), values of the hard and the soft terms and their derivatives by each
- *                              symbol; margins are subtracted, and derivatives that are not finite set to 0
- *   out                        out, (nodes + 2,): largest shortfall of the hard terms at each node, infinite where one is
- *                              not a number; cost of the soft terms; largest of the shortfalls
+ *   gears, hard, soft    numbers; margins: 0, or nodes times `hard`
+ *   reach, bend          see `TermBound`
+ *   divisions, lengths   see `optdock_term_points`
+ *   weights              (soft + margins,), weights [1/m], and values subtracted from the hard terms (nodes, hard)
+ *   table                (nodes, 7 terms), values of the hard and the soft terms and their derivatives by each symbol;
+ *                        margins are subtracted, and derivatives that are not finite set to 0
+ *   out                  out, (nodes + 2,): largest shortfall of the hard terms at each node, infinite where one is not
+ *                        a number; cost of the soft terms; largest of the shortfalls
  *
  * Return whether a term acts, see `TermsAlong`. */
 int64_t optdock_terms_along(int64_t gears, int64_t hard, int64_t soft, int64_t margins, double reach, double bend,
@@ -156,14 +156,14 @@ static int64_t last_low(int64_t nodes, int64_t count, int64_t k, double reach, d
 /* Linearize the terms at a path.
  *
  *   gears ... intervals, basis, divisions   see `Basis` in rollout_kernel.c
- *   hard, soft, reach, bend, table   see `optdock_terms_along`
- *   most, flat     most rows per term, and largest derivative of a row that is left out
- *   z              curvatures and lengths, (knots + gears,) = (size,)
- *   moves          displacements by the Gauss points, (2 intervals, 2)
- *   weights        (soft,) [1/m]
- *   costs          out, (size + size^2,), gradient and Hessian of the soft terms; nothing if there are none
- *   rows, node     out, (hard min(most, nodes), 1 + size), gap and gradient of each row, and their nodes
- *   work           (3 nodes size + 5 size,)
+ *   hard, soft, reach, bend, table          see `optdock_terms_along`
+ *   most, flat   most rows per term, and largest derivative of a row that is left out
+ *   z            curvatures and lengths, (knots + gears,) = (size,)
+ *   moves        displacements by the Gauss points, (2 intervals, 2)
+ *   weights      (soft,) [1/m]
+ *   costs        out, (size + size^2,), gradient and Hessian of the soft terms; nothing if there are none
+ *   rows, node   out, (hard min(most, nodes), 1 + size), gap and gradient of each row, and their nodes
+ *   work         (3 nodes size + 5 size,)
  *
  * Return the number of rows. */
 int64_t optdock_linearized_terms(int64_t gears, int64_t knots, int64_t nodes, int64_t intervals, int64_t hard,

@@ -44,6 +44,8 @@ def in_both_lanes(function, *arguments):
 
 
 def assert_close(one, other):
+    if one is other:
+        return
     if isinstance(one, tuple):
         assert len(one) == len(other)
         for a, b in zip(one, other, strict=True):
