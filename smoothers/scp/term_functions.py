@@ -29,6 +29,7 @@ __all__ = ["DERIVATIVES", "TermFunctions", "TermSet", "term_set"]
 
 DERIVATIVES = len(SYMBOLS) - 1  # by all symbols except the gear, which is the last one
 _BLOCK = 32  # points per evaluation: larger blocks of instructions leave the caches, smaller ones need more calls
+_MOST_BLOCKS = 128  # in memory at once
 _MOST_UNROLLED = 10_000  # instructions, which take 10 ms to build
 _MOST_KEPT = 16  # sets of terms per thread
 
@@ -178,10 +179,13 @@ class _Blocks:
 
     def evaluated(self, points: FloatArray, parameters: FloatArray) -> FloatArray:
         """Return the output at the points, one row per point."""
-        count = len(points)
+        count, most = len(points), _BLOCK * _MOST_BLOCKS
+        if count > most:
+            parts = [self.evaluated(points[begin : begin + most], parameters) for begin in range(0, count, most)]
+            return np.concatenate(parts)
         blocks = -(-count // _BLOCK)
         if blocks > len(self._buffers):
-            self._enlarge(2 * blocks)
+            self._enlarge(min(2 * blocks, _MOST_BLOCKS))
         if parameters is not self._known:
             self._parameters[:], self._known = parameters, parameters
         self._points[:count] = points  # the points behind are those of an earlier evaluation
