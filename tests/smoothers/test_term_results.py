@@ -312,3 +312,26 @@ def test_a_bound_on_the_driven_distance_holds_on_the_final_straight_too(share):
     found = CasadiSmoother(terms=[term]).smooth(case.raw_path, 30.0, problem=case.problem).path
     assert case.problem.dock.final_straight > 0.0
     assert found.driven <= share * free.length + 1e-6
+
+
+def test_terms_at_the_ends_have_the_symbols_of_the_ends(scene):
+    """Heading in [-pi, pi), gear of the first segment at the start, and the distance left on the final straight."""
+    problem, raw = scene
+    turned = [Pose2(pose.x, pose.y, pose.yaw + 6.0 * math.pi) for pose in (problem.start, problem.goal)]
+    round_again = dataclasses.replace(problem, start=turned[0], dock=dataclasses.replace(problem.dock, pose=turned[1]))
+    assert smoothed((round_again, raw), HardTerm("mine", lambda p: math.pi - casadi.fabs(p.yaw))).path.segments
+    with pytest.raises(FailedToSmoothPath, match=r"0\.150 m before the goal"):
+        smoothed(scene, HardTerm("mine", lambda p: casadi.fabs(p.remaining - 0.15) - 0.001))
+    case = instance("reverse_cusp", 0)
+    start, first = case.problem.start, int(case.raw_path.segments[0].direction)
+    assert first != case.raw_path.segments[-1].direction
+    for gear in (first, -first):
+        there = HardTerm(
+            "mine",
+            lambda p, gear=gear: casadi.if_else((p.x - start.x) ** 2 + (p.y - start.y) ** 2 < 1e-8, gear * p.gear, 1.0),
+        )
+        if gear == first:
+            assert smoothed((case.problem, case.raw_path), there).path.segments
+        else:
+            with pytest.raises(FailedToSmoothPath, match="at the start, where every path in these gears begins"):
+                smoothed((case.problem, case.raw_path), there)

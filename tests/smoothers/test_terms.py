@@ -28,7 +28,7 @@ from smoothers.scp import term_rows
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import end_sensitivity
-from smoothers.scp.loop import judged
+from smoothers.scp.loop import additions, evaluated, judged
 from smoothers.scp.qp_step import (
     Linearization,
     Penalties,
@@ -316,3 +316,33 @@ def test_threads_evaluate_the_same_terms_at_once():
     for thread in threads:
         thread.join()
     assert wrong == []
+
+
+def test_added_rows_have_the_buffer_of_the_clearance_rows():
+    """It grows with the distance from both ends of the path, up to the whole buffer."""
+    case = instance("open_s", 0)
+    nlp, guess = program_of(case.problem, case.raw_path, [HardTerm("near", lambda p: 0.1 + 0.0001 * p.y)])
+    near = dataclasses.replace(nlp, terms=dataclasses.replace(nlp.terms, reach=1e9))
+    iterate = evaluated(near, np.concatenate(guess))
+    bare, buffered = additions(iterate, 0.0), additions(iterate, 0.01)
+    place = iterate.rollout.poses[bare.node, :2]
+    to_end = np.minimum(*(np.hypot(*(place - end[:2]).T) for end in (nlp.ends.start, nlp.ends.target)))
+    wanted = 0.01 * np.minimum(1.0, to_end / nlp.settings.step.buffer_taper)
+    assert wanted.max() == 0.01
+    assert bare.rows[:, 0] - buffered.rows[:, 0] == pytest.approx(wanted, abs=1e-12)
+
+
+def test_shortfalls_of_terms_are_those_of_their_zones_and_less_by_the_allowance_at_the_ends():
+    case = instance("open_s", 0)
+    far = [HardTerm("far", lambda p: 100.0 - p.y)]
+    nlp, guess = program_of(case.problem, case.raw_path, far)
+    # The margins are what the values lack, at the first, the last, and one other node.
+    hundred = evaluated(nlp, np.concatenate(guess)).terms.values
+    allowance = nlp.settings.loop.end_allowance
+    for node, allowed in ((0, allowance), (nlp.basis.num_nodes - 1, allowance), (20, 0.0)):
+        margins = np.zeros((nlp.basis.num_nodes, 1))
+        margins[node] = hundred[node] + 0.02
+        bound = dataclasses.replace(nlp.terms, margins=margins)
+        found = evaluated(dataclasses.replace(nlp, terms=bound), np.concatenate(guess))
+        assert found.shortfall == pytest.approx(0.02 - allowed, abs=1e-9)
+        assert np.count_nonzero(found.zones) == 1
