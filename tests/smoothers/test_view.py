@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
+from optdock.deadline import Deadline
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
@@ -15,10 +16,14 @@ from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.camera import Camera
 from optdock.model.dock import DockDirection
 from optdock.model.path import ClothoidSegment, Path, TurnSegment
+from optdock.plugins.interfaces import never_cancelled
 from optdock.verification import certify_path
 from optdock.verification.visibility import prove_view
 from smoothers import CasadiSmoother
+from smoothers.scp.loop import additions, evaluated
+from smoothers.scp.qp_step import ProgramPool
 from smoothers.scp.rollout import Variables, roll_out
+from smoothers.scp.search import Solver
 from smoothers.scp.visibility_constraint import ViewBound, linearized_view, view_along
 
 NARROW = Camera(Pose2(0.4, 0.0, 0.0), math.radians(60.0))
@@ -228,3 +233,15 @@ def test_a_search_in_vain_names_the_view_and_the_place(cases):
     assert caught.value.where["reason"] == "view"
     assert caught.value.where["quantity"] == "bearing"
     assert caught.value.partial.path is not None
+
+
+def test_the_rows_of_the_view_are_added_to_the_step(cases):
+    problem = seen_problem(cases, Pose2(4.0, 1.0, 0.0))
+    smoother, raw = CasadiSmoother(), cases.kinked((0.0, 0.0), (0.8, 0.0), (1.8, 1.0), (4.0, 1.0))
+    solver = Solver(ProgramPool(), Deadline(60.0), never_cancelled, smoother.settings)
+    nlp, guesses = solver.prepared(smoother.call_for(raw, problem))
+    iterate = evaluated(nlp, np.concatenate(guesses.first.variables))
+    added = additions(iterate, 0.0)
+    wanted = linearized_view(nlp.view, nlp.basis, iterate.variables, iterate.rollout, iterate.view)
+    assert wanted.gap.size > 0
+    assert np.array_equal(added.rows, np.column_stack((wanted.gap, wanted.gradient)))
