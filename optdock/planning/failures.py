@@ -107,7 +107,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
 
 
 def _reason_of_every_guess(failures: Sequence[Failure], problem: DockingProblem) -> Failure | None:
-    """Return a failure whose reason applies to all gears in which a guess can end, whatever the time limit, or None."""
+    """Return a failure that, with those before it, excludes both gears in which a path can end, or None."""
     gears = {Direction.FORWARD, Direction.REVERSE}
     if problem.dock.direction is not DockDirection.AUTO:
         gears = {Direction.FORWARD if problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
