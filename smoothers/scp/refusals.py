@@ -12,7 +12,7 @@ from optdock.errors import FailedToSmoothPath
 from optdock.geometry.arrays import readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.obstacles import in_words
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.dock import DockDirection
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.planning.plan import PartialPlan
@@ -260,10 +260,10 @@ def refuse_terms_at_ends(
     first, last, fixed = int(path.segments[0].direction), int(path.segments[-1].direction), {"x", "y", "yaw", "gear"}
     steps = 0 if after is None else max(1, math.ceil(straight / SPACING))
     back, points = straight / max(1, steps) * np.arange(steps, -1, -1), np.empty((2 + steps, len(SYMBOLS)))
-    at_start, at_goal = ((yaw + math.pi) % (2.0 * math.pi) - math.pi for yaw in (start.yaw, goal.yaw))
-    points[0] = start.x, start.y, at_start, problem.start_curvature or 0.0, 0.0, 0.0, first
+    points[0] = start.x, start.y, start.yaw, problem.start_curvature or 0.0, 0.0, 0.0, first
     away = -last * math.cos(goal.yaw), -last * math.sin(goal.yaw), 0.0, 0.0, 0.0, 1.0, 0.0
-    points[1:] = back[:, None] * away + (goal.x, goal.y, at_goal, 0.0, 0.0, after or 0.0, last)
+    points[1:] = back[:, None] * away + (goal.x, goal.y, goal.yaw, 0.0, 0.0, after or 0.0, last)
+    points[:, 2] = wrap_angles(points[:, 2])
     values = terms.only_hard.values(points)
     known = fixed if problem.start_curvature is None else {*fixed, "curvature"}
     broken = _lowest(terms, values[:1], known)
