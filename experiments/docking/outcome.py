@@ -183,9 +183,8 @@ def _tube(record: Record, followed: Sequence[FollowedPlan], clearances: FloatArr
         found = tube.deviations(record.poses[rows])
         inside = found.excess <= 0.0
         at = plan.path.poses_at(found.s)
-        from_goal, from_start = (np.hypot(*(at[:, :2] - [end.x, end.y]).T) for end in (problem.goal, problem.start))
-        start = end_clearances(problem).start
-        required = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
+        ends = problem.goal, problem.start, end_clearances(problem).start
+        required = problem.clearance.required_for(at, *ends, plan.certificate.start_relief)
         short = max(short, float(np.max((required - clearances[rows])[inside], initial=-math.inf)))
         displacement = max(displacement, float(found.displacement.max()))
         left += int(np.count_nonzero(np.diff(np.concatenate(([True], inside)).astype(int)) < 0))

@@ -14,6 +14,7 @@ from optdock.geometry.checked import non_negative, number
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.pose import Pose2
 
 __all__ = ["ClearanceRule"]
 
@@ -86,6 +87,21 @@ class ClearanceRule:
                 requires at most the clearance of the start, e.g. for a robot alongside a wall.
         """
         return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
+
+    def required_for(
+        self, poses: FloatArray, goal: Pose2, start: Pose2, start_clearance: float, start_relief: float = 0.0
+    ) -> FloatArray:
+        """Return the required clearance of poses, Shape (n,) [m].
+
+        Args:
+            poses: Shape (n, 3).
+            goal: The goal.
+            start: Pose at which the path begins.
+            start_clearance: As in `required_at`.
+            start_relief: As in `required_at`.
+        """
+        from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (goal, start))
+        return self.required_at(from_goal, from_start, start_clearance, start_relief)
 
     def near_goal(self, from_goal: FloatArray) -> FloatArray:
         """Return the required clearance at distances from the goal, regardless of the start, Shape (n,) [m]."""

@@ -586,9 +586,8 @@ def pushes_off(path: Path, problem: DockingProblem) -> list[Push]:
     s = np.linspace(0.0, path.length, 2 + int(path.length / _SPACING))
     poses, rule, room = path.poses_at(s), problem.path_clearance, problem.path_clearance.required + _ROOM
     clearance, row = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, room)
-    from_goal, from_start = (np.hypot(*(poses[:, :2] - (end.x, end.y)).T) for end in (problem.goal, problem.start))
     relief = problem.start_run if clearance[0] < rule.required else 0.0
-    required = rule.required_at(from_goal, from_start, float(clearance[0]), relief)
+    required = rule.required_for(poses, problem.goal, problem.start, float(clearance[0]), relief)
     missing = required - clearance
     short = np.flatnonzero(missing > TOLERANCE)
     borders = np.flatnonzero((np.diff(short) > 1) | (np.diff(row[short]) != 0)) + 1

@@ -66,19 +66,17 @@ def tightest_place(
         step: Distance between the samples [m].
         within: Largest distance of obstacles that are considered [m].
     """
-    s, required = np.arange(0.0, path.length, step), problem.clearance.required
-    poses = path.poses_at(s)
-    ends = problem.goal, problem.start
-    from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
-    required_here = problem.clearance.required_at(from_goal, from_start, end_clearances(problem).start, start_relief)
-    s, poses = s[required_here >= required], poses[required_here >= required]
+    s, rule = np.arange(0.0, path.length, step), problem.clearance
+    poses, at_start = path.poses_at(s), end_clearances(problem).start
+    is_far = rule.required_for(poses, problem.goal, problem.start, at_start, start_relief) >= rule.required
+    s, poses = s[is_far], poses[is_far]
     if not s.size or not len(problem.all_obstacles):
         return None
     clearances, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, within)
     k = int(np.argmin(clearances))
     if not clearances[k] < within:
         return None
-    return Tightest(float(clearances[k] - required), float(s[k]), problem.all_obstacles.name_of(int(rows[k])))
+    return Tightest(float(clearances[k] - rule.required), float(s[k]), problem.all_obstacles.name_of(int(rows[k])))
 
 
 class Attempt(NamedTuple):

@@ -146,8 +146,5 @@ def clearance_curve(
         relief: Start relief of the rule [m].
     """
     clearances, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
-    from_goal, from_start = (
-        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
-    )
-    required = rule.required_at(from_goal, from_start, end_clearances(problem).start, relief)
+    required = rule.required_for(poses, problem.goal, problem.start, end_clearances(problem).start, relief)
     return ClearanceCurve(clearances, required, rows)

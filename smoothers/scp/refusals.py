@@ -367,12 +367,8 @@ def _measured(
     path: Path, problem: DockingProblem, s: FloatArray, start_relief: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Return poses at `s`, their clearances up to one spacing above the required ones, these, and nearest obstacles."""
-    poses = path.poses_at(s)
-    from_goal, from_start = (
-        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
-    )
-    start_clearance = end_clearances(problem).start
-    required = problem.path_clearance.required_at(from_goal, from_start, start_clearance, start_relief)
+    poses, at_start = path.poses_at(s), end_clearances(problem).start
+    required = problem.path_clearance.required_for(poses, problem.goal, problem.start, at_start, start_relief)
     within = float(required.max()) + _SPACING
     clearance, rows = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, within)
     return poses, clearance, required, rows
