@@ -607,7 +607,7 @@ class _Portfolio:
         reason = f"{type(failure.error).__name__}: {failure.error}"
         self.tried.append(Attempt(stage, path, seconds, reason=reason))
         self.failures.append(failure)
-        if failure.error.where.get("every_path") and self.best is None:
+        if failure.error.where.get("every_path") and self.best is None and self.last_resort is None:
             self._leave()
             raise failure.error
 

@@ -316,6 +316,9 @@ class Refinement:
             raise late from error
         except SmootherException as error:
             so_far.path = PartialPlan.left_by(error).path
+            if kept > 0.0:  # the start for the smoother is the end of the line, where other paths need not begin
+                error.where["every_path"] = False
+                error.args = (f"{error} (after a straight line of {kept:.3f} m out of contact)", *error.args[1:])
             raise
         returned(result, SmoothingResult, smoother)
         returned(result.path, Path, smoother, "the path of its result")

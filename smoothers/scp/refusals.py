@@ -87,9 +87,10 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
         message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m at the start"
         return Refusal("start_in_collision", 0.0, -start_clearance, name, message)
     limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
-    if steered is not None and abs(steered) > limit:
+    if steered is not None and abs(steered) > limit * (1.0 + _TOLERANCE) + _TOLERANCE:  # as the certificate's rules
         message = f"the curvature at the start is {steered:.4g} 1/m, the limit is {limit:.4g} 1/m"
-        return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message, more={"every_path": True})
+        more = {"every_path": not _may_turn_first(problem)}
+        return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message, more=more)
     first, last = path.segments[0].direction, path.segments[-1].direction
     wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
     if wanted.get(problem.dock.direction, last) is not last:
@@ -100,6 +101,12 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
         message = f"the robot moves at {problem.start_speed:.3g} m/s, the raw path begins in {first.name.lower()} gear"
         return Refusal("direction", 0.0, abs(problem.start_speed), "", message)
     return None
+
+
+def _may_turn_first(problem: DockingProblem) -> bool:
+    """Whether a path may begin with a turn in place, to which the curvature at the start does not apply."""
+    stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0
+    return problem.robot.turns_in_place and stands
 
 
 def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float) -> Refusal | None:
@@ -142,12 +149,13 @@ def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | Non
     broken = next((one for one in prove_view(line, problem).violations if one.kind == "view"), None)
     if broken is None:
         return None
-    before = length - broken.s
+    before, straight = length - broken.s, problem.dock.final_straight
     place = "at the goal" if before <= _GOAL_ALONE else f"on the final straight, {before:.3f} m before the goal"
     refusal = _unseen(broken, path.length - before, None)
     message = f"{place}: {broken.message.partition(': ')[2]} (every path ends there; see dock.blind_distance)"
     message = f"the dock is not in the camera's view {message}"
-    more = {**refusal.more, "every_path": before <= _GOAL_ALONE or problem.dock.direction is not DockDirection.AUTO}
+    is_certain = before == 0.0 or (straight > 0.0 and problem.dock.direction is not DockDirection.AUTO)
+    more = {**refusal.more, "every_path": is_certain}
     return refusal._replace(reason="approach_unseen", message=message, more=more)
 
 
@@ -268,7 +276,8 @@ def refuse_terms_at_ends(
     known = fixed if problem.start_curvature is None else {*fixed, "curvature"}
     broken = _lowest(terms, values[:1], known)
     if broken is not None:
-        is_certain = is_whole and "gear" not in broken[3].function.reads
+        depends = {"gear", "curvature"} if _may_turn_first(problem) else {"gear"}
+        is_certain = is_whole and depends.isdisjoint(broken[3].function.reads)
         message, more = f"{broken[1]} at the start", {"term": broken[3].name, "every_path": is_certain}
         message += f", where every path {'' if is_certain else 'in these gears '}begins"
         return Refusal("term", 0.0, broken[2], "", message, points[0, :3], more)

@@ -129,6 +129,18 @@ def test_guess_that_cannot_be_smoothed_is_driven_with_stops(error):
     assert rested >= 2.0 * math.atan(2.8 * 0.33) / 0.5 * (1.0 - 1e-6)
 
 
+def test_a_plan_with_stops_refutes_that_no_path_exists():
+    """A smoother may claim of a later guess what holds for that guess alone."""
+
+    class Claims(Fails):
+        def smooth(self, path, max_time, **options):
+            raise FailedToSmoothPath("no", where={"every_path": path.length > 5.0})
+
+    detour = Arcs(START, np.array([[-2.0, 2.0, *BENDS.lengths[0]]]), np.array([[0.0, 0.0, *BENDS.curvatures[0]]]))
+    plan = plan_dock(problem(), time_budget=5.0, planner=Offers(path_of(BENDS), path_of(detour)), smoother=Claims())
+    assert len(plan.path.segments) == 5
+
+
 def test_colliding_guess_is_not_driven_with_stops():
     on_the_way = path_of(BENDS).poses_at(0.6)[0]
     x, y = on_the_way[:2] + 1.2 * np.array([-math.sin(on_the_way[2]), math.cos(on_the_way[2])])

@@ -14,6 +14,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
+from optdock.model.path import TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.arcs import Arcs
@@ -95,6 +96,34 @@ def test_a_term_that_may_hold_in_other_gears_does_not_end_the_call(term):
         plan_dock(PROBLEM, time_budget=BUDGET, smoother=smoother)
     assert no.value.where["every_path"] is False
     assert len(no.value.partial.tried) > 1
+
+
+TURNING = dataclasses.replace(ROBOT.limits, max_yaw_rate=1.0, max_yaw_acceleration=2.0)
+
+
+@pytest.mark.parametrize(("curvature", "terms"), [(2.0, []), (-0.5, [HardTerm("left", lambda p: p.curvature + 0.2)])])
+def test_a_turn_in_place_begins_a_path_where_no_drive_can(curvature, terms):
+    """A turn in place has no start curvature, and as a symbol of terms one of its own."""
+    robot = dataclasses.replace(ROBOT, limits=TURNING, turns_in_place=True)
+    start = Pose2(0.0, 0.0, math.copysign(1.6, curvature))
+    problem = DockingProblem(start, Dock(Pose2(3.0, 0.0, 0.0), final_straight=0.3), robot, start_curvature=curvature)
+    plan = plan_dock(problem, time_budget=BUDGET, smoother=CasadiSmoother(terms=terms))
+    assert isinstance(plan.path.segments[0], TurnSegment)
+    moving = dataclasses.replace(problem, start_speed=0.1)
+    with pytest.raises(FailedToSmoothPath) as no:
+        plan_dock(moving, time_budget=BUDGET, smoother=CasadiSmoother(terms=terms))
+    assert no.value.where["every_path"]
+
+
+def test_a_term_broken_behind_the_straight_line_out_of_contact_does_not_end_the_call():
+    """Other paths need not begin with this line."""
+    wall = [[-0.2, 0.3], [0.3, 0.3], [0.3, 0.6], [-0.2, 0.6]]
+    problem = dataclasses.replace(PROBLEM, obstacles=[wall], dock=Dock(Pose2(3.0, -1.5, 0.0)))
+    post = HardTerm("post", lambda p: casadi.hypot(p.x - 0.76, p.y) - 0.05)
+    plan = plan_dock(problem, time_budget=BUDGET, smoother=CasadiSmoother(terms=[post]))
+    assert least(plan.path, lambda x, y: np.hypot(x - 0.76, y) - 0.05) > -1e-4
+    reasons = [attempt.reason for attempt in plan.tried if "post" in attempt.reason]
+    assert "after a straight line of 0.760 m out of contact" in reasons[0]
 
 
 CAR = Robot(

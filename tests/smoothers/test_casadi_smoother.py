@@ -377,6 +377,12 @@ def test_a_start_curvature_beyond_the_limit_is_refused(smoother, cases):
     }
 
 
+def test_a_start_curvature_beyond_the_limit_by_rounding_is_kept(smoother, cases):
+    problem = cases.open_problem(GOAL, start_curvature=1.5 * (1.0 + 5e-7))
+    path = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem).path
+    assert certify_path(path, problem).certified
+
+
 def test_an_occupied_goal_is_named(smoother, cases):
     rock = [[3.4, 0.5], [3.5, 0.5], [3.5, 0.9], [3.4, 0.9]]
     with pytest.raises(FailedToSmoothPath, match="obstacles\\[0\\]") as caught:

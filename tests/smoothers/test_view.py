@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
+import optdock as od
 from optdock.deadline import Deadline
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
@@ -15,7 +16,7 @@ from optdock.geometry.pose import Pose2
 from optdock.kernels import kernels_in_use, using_kernels
 from optdock.model.camera import Camera
 from optdock.model.dock import DockDirection
-from optdock.model.path import ClothoidSegment, Path, TurnSegment
+from optdock.model.path import ClothoidSegment, Direction, Path, TurnSegment
 from optdock.plugins.interfaces import never_cancelled
 from optdock.verification import certify_path
 from optdock.verification.visibility import prove_view
@@ -194,6 +195,19 @@ def test_in_reverse_gear_a_camera_at_the_back_sees(cases):
     with pytest.raises(FailedToSmoothPath, match="approach_unseen: the dock is not in the camera's view") as caught:
         CasadiSmoother().smooth(guess, 2.0, problem=ahead)
     assert caught.value.where["reason"] == "approach_unseen"
+
+
+@pytest.mark.parametrize(("straight", "direction"), [(0.0, "forward"), (0.3, "auto"), (0.3, "forward")])
+def test_an_unseen_approach_is_the_reason_for_every_path_only_on_a_straight_in_a_given_gear(cases, straight, direction):
+    """At the goal the dock is in view: a path that comes from the other side sees it all along."""
+    task = seen_problem(cases, Pose2(2.5, 0.0, 0.0), Camera(Pose2(0.0, 0.0, 0.0), 1.0, 0.0, 2.0), marker=(2.0, 0.0))
+    dock = dataclasses.replace(task.dock, final_straight=straight, direction=DockDirection(direction))
+    task = dataclasses.replace(task, dock=dock)
+    with pytest.raises(FailedToSmoothPath, match="approach_unseen") as caught:
+        CasadiSmoother().smooth(cases.kinked((0.0, 0.0), (2.5, 0.0)), 2.0, problem=task)
+    assert caught.value.where["every_path"] is (straight > 0.0 and direction == "forward")
+    task = dataclasses.replace(task, dock=dataclasses.replace(dock, visible_distance=0.2, direction="auto"))
+    assert od.plan_dock(task, time_budget=30.0).path.segments[-1].direction is Direction.REVERSE
 
 
 def test_pieces_between_turns_in_place_see_as_well(cases):
