@@ -30,11 +30,12 @@ static Edges edges_at(const View *view, const double pose[3])
 {
     const double pi = 3.141592653589793;
     double c = cos(pose[2]), s = sin(pose[2]), mount_c = cos(view->yaw), mount_s = sin(view->yaw);
-    Vector mount = turned(view->mount, c, s), normals[MOST_EDGES];
-    Vector ahead = {view->marker.x - (pose[0] + mount.x), view->marker.y - (pose[1] + mount.y)};
+    Vector mount = view->mount, normals[MOST_EDGES];
+    Vector camera = {pose[0] + c * mount.x - s * mount.y, pose[1] + s * mount.x + c * mount.y}; /* rounded as in NumPy */
+    Vector ahead = {view->marker.x - camera.x, view->marker.y - camera.y};
     double camera_c = cos(pose[2] + view->yaw), camera_s = sin(pose[2] + view->yaw);
     Vector point = turned(ahead, camera_c, -camera_s);
-    double length = hypot(point.x, point.y), distance = length > 1e-9 ? length : 1e-9;
+    double length = hypot(point.x, point.y), distance = length < 1e-9 ? 1e-9 : length; /* NaN is kept */
     Vector outward = {point.x / distance, point.y / distance};
     Edges found;
     int count = 0;
@@ -132,7 +133,7 @@ int64_t optdock_seen_along(int64_t gears, int64_t nodes, int64_t edges, double s
             double sag = is_inner ? (m[-1] - 2.0 * m[0] + m[1]) / 8.0 : 0.0;
             normal[2 * (k * p + j)] = at.normals[k].x;
             normal[2 * (k * p + j) + 1] = at.normals[k].y;
-            margin[k * p + j] = at.margins[k] - (sag > 0.0 ? sag : 0.0);
+            margin[k * p + j] = at.margins[k] - (sag < 0.0 ? 0.0 : sag);
         }
     }
     return p;

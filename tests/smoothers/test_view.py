@@ -107,6 +107,31 @@ def test_the_kernel_is_equal_to_numpy(cases, name, seed, visible, blind):
         assert other == pytest.approx(one, rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_kernel_is_equal_to_numpy_far_from_the_origin_at_the_camera_and_without_numbers(cases, name):
+    basis, variables, start, signs = cases.random_path(1, ((6, 2), (5, 3)))
+    curvature = variables.curvature.copy()
+    curvature[3] = math.nan
+    mount = CAMERAS[name].mount
+    for at, chosen in (
+        ((5e5, 6e6), variables),
+        ((0.0, 0.0), variables),
+        ((0.0, 0.0), Variables(curvature, variables.lengths)),
+    ):
+        begin = start + np.array([*at, 0.0])
+        rollout = roll_out(basis, chosen, begin, signs)
+        goal = Pose2.from_sequence(roll_out(basis, variables, begin, signs).poses[-1])
+        task = seen_problem(cases, goal, CAMERAS[name], visible=1.71, blind=0.33, marker=(mount.x, mount.y))
+        bound, found = ViewBound(task.required_view, task, signs, 0.1, 0.35), []
+        for lane in ("twin", "native"):
+            with using_kernels(lane):
+                found.append(view_along(bound, basis, chosen, rollout))
+                assert "NumPy for" not in kernels_in_use()
+        for one, other in zip(*found, strict=True):
+            assert other == pytest.approx(one, rel=1e-12, abs=1e-12, nan_ok=True)
+
+
 def test_rows_are_the_derivatives_of_the_margins(driven):
     basis, variables, start, signs, bound = driven
     rollout = roll_out(basis, variables, start, signs)
