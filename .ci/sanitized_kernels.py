@@ -36,6 +36,7 @@ TESTS = (
     "tests/smoothers/test_term_kernels.py::test_terms_along_a_path_and_their_rows_are_equal_in_both_lanes",
     "tests/smoothers/test_term_kernels.py::test_samples_of_clothoids_are_equal_in_both_lanes_and_lie_on_the_path",
     "tests/smoothers/test_view.py::test_the_kernel_is_equal_to_numpy",
+    "tests/smoothers/test_view.py::test_the_kernel_is_equal_to_numpy_far_from_the_origin_at_the_camera_and_without_numbers",
     "tests/optdock/test_deformation.py::test_kernels_return_what_their_twins_do",
     "tests/optdock/test_deformation.py::test_derivatives_are_those_of_finite_differences",
     "tests/optdock/test_minimizer.py::test_the_guess_does_not_change_the_solution",
