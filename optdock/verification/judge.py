@@ -237,10 +237,10 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
     _hold(sum(gaps, _ZERO).hi <= TOLERANCE, "joint: the path jumps between its segments")
     _hold(proof["robot"]["turning"] is not None or len(driven) == len(segments), "turn: the robot cannot turn")
     _hold(first in driven or start["speed"] == start["acceleration"] == 0.0, "turn: the robot begins at speed")
-    gears = {"auto": (1.0, -1.0), "forward": (1.0,), "backward": (-1.0,)}[dock["direction"]]
-    moving = [one.gear for one in driven if one.length.lo > TOLERANCE]
-    _hold(not moving or moving[-1] in gears, "direction: the gear at the dock is not allowed")
-    _hold(not moving or moving[0] * start["speed"] >= 0.0, "direction: the robot moves in the other gear")
+    orders = [(order, accumulate(one.length.lo for one in order)) for order in (driven, driven[::-1])]
+    begun, ended = (next((one.gear for one, s in zip(*order, strict=True) if s > TOLERANCE), 0.0) for order in orders)
+    _hold({"forward": -1, "backward": 1, "auto": 2}[dock["direction"]] != ended, "direction: the gear at the dock")
+    _hold(begun * start["speed"] >= 0.0, "direction: the robot moves in the other gear")
     for one in driven:
         most, rate = max(map(abs, one.bends)), max(rate.size for rate in one.rates)
         _hold(most <= limits["max_curvature"] * _WIDE, f"curvature: {most:g} 1/m on {one.name}")
@@ -251,7 +251,7 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
         _hold(last in driven and last.length.lo >= wanted - TOLERANCE, "final_straight: the last gear is too short")
         begin, place = (max(0.0, last.length.lo - wanted) + d for d in (0.0, 1e-9))  # a rounded knot is no curvature
         far, near = (max(i for i, knot in enumerate(last.knots[:-1]) if knot <= at) for at in (begin, place))
-        bends = [last.bend_at(near, _Span(place)).size, *map(abs, last.bends[near + 1 :])]
+        bends = [last.bend_at(near, _Span(min(place, last.length.lo))).size, *map(abs, last.bends[near + 1 :])]
         turns = [last.bend_at(far, _Span(begin)).size, *map(abs, last.bends[far + 1 : near + 1])]
         _hold(max(bends) <= TOLERANCE >= 1e-9 * max(turns), "final_straight: it bends")
 

@@ -325,6 +325,28 @@ def test_hostile_numbers_are_refused(plan, place, value):
     assert refused(json.dumps(plan).replace(json.dumps("\u0001"), value))
 
 
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+def test_many_segments_below_the_tolerance_add_up_to_a_motion_with_a_direction(direction):
+    """0.2 mm in 200 segments into the dock; the certificate adds them as well."""
+    there, step = (1.0, -1.0) if direction == "forward" else (-1.0, 1.0), 9e-7
+    pose, segments = Pose2(0.0, 0.0, 0.0), []
+    for length, sign in ((0.5, there[0]), *((step, there[1]) for _ in range(200))):
+        segments.append(ClothoidSegment(ClothoidSpline(pose, np.array([0.0, length]), np.zeros(2), int(sign))))
+        pose = segments[-1].spline.end
+    plan = written(segments, obstacles=[POST])
+    assert "accepted" in judge(json.dumps(plan))
+    plan["proof"]["dock"]["direction"] = direction
+    assert "direction:" in refused(plan)
+
+
+def test_a_final_straight_shorter_than_a_nanometre_is_judged_as_by_the_certificate():
+    """Its only curvature lies before the end, within the first nanometre of the straight."""
+    first = spline([0.0, 0.5], [0.0, 0.0])
+    last = ClothoidSegment(ClothoidSpline(first.spline.end, np.array([0.0, 4e-10]), np.array([900.0, 0.0])))
+    assert "accepted" in judge(json.dumps(written([first, last], obstacles=[POST], limits=MotionLimits(),
+                                                  final_straight=1e-9)))  # fmt: skip
+
+
 @pytest.mark.parametrize("text", ["", "[]", "null", "{}", '{"proof": {}, "proof": {}}', "[" * 100_000, "1" * 5000])
 def test_hostile_texts_are_refused(tmp_path, text):
     target = tmp_path / "plan.json"
