@@ -6,6 +6,10 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from experiments.fuzz.lanes import Lanes
 
 # numpy reads these when it is first imported, here and in every process started from here.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -56,8 +60,6 @@ def _parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run; return 0 without failures, 1 with failures, 2 for bad usage; with --plant: 0 if it was found."""
     options = _parser().parse_args(arguments)
-    if options.replay is not None:
-        return _replay(options.replay, options.plant)
     kinds = tuple(options.kinds.split(","))
     if not set(kinds) <= set(ALL):
         print(f"--kinds: known are {', '.join(ALL)}; got {options.kinds}", file=sys.stderr)
@@ -71,6 +73,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.lanes not in LANES:
         print(f"--lanes: must be one of {', '.join(LANES)}; got {options.lanes}", file=sys.stderr)
         return 2
+    if options.replay is not None:
+        return _replay(options.replay, options.plant, options.lanes)
     return _campaign(options, kinds, wanted)
 
 
@@ -106,12 +110,14 @@ def _campaign(options: argparse.Namespace, kinds: tuple[str, ...], wanted: dict[
     return 1 if tally.failed else 0
 
 
-def _replay(source: Path, plant: str | None) -> int:
+def _replay(source: Path, plant: str | None, lanes: Lanes) -> int:
     from experiments.fuzz.campaign import judge_once, prepare
     from experiments.fuzz.case import load_case
+    from experiments.fuzz.lanes import using_lanes
 
     prepare()
-    verdict = judge_once(load_case(source), plant)
+    with using_lanes(lanes):
+        verdict = judge_once(load_case(source), plant)
     print(f"{verdict.outcome}: {verdict.detail}" if verdict.detail else verdict.outcome)
     return 1 if verdict.is_fault else 0
 

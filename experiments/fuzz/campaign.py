@@ -24,11 +24,10 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, TextIO
 
 from experiments.fuzz.case import Verdict, rng_of, save_case
 from experiments.fuzz.kinds import KINDS
-from experiments.fuzz.lanes import set_lanes
+from experiments.fuzz.lanes import using_lanes
 from experiments.fuzz.minimise import minimised
 from experiments.fuzz.planted import planted
 from optdock.deadline import set_clock
-from optdock.kernels import using_kernels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -181,12 +180,11 @@ def _verdict(case: Case) -> Verdict:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
-def prepare(lanes: Lanes = "own") -> None:
-    """Set memory, signal handling, clock of budgets and lanes of this process."""
+def prepare() -> None:
+    """Set memory, signal handling and clock of budgets of this process."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     signal.signal(signal.SIGPROF, _give_up)
     set_clock("cpu")
-    set_lanes(lanes)
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
 
@@ -206,8 +204,8 @@ class _Part(NamedTuple):
 
 def _work(campaign: Campaign, part: _Part, out: multiprocessing.Queue[object], stop: Event) -> None:
     """Run the cases of a part; the kind with the least used share of time is next."""
-    prepare(campaign.lanes)
-    with using_kernels("twin") if campaign.lanes == "twin" else contextlib.nullcontext():
+    prepare()
+    with using_lanes(campaign.lanes):
         _run_part(campaign, part, out, stop)
     out.put(None)
 
@@ -259,7 +257,8 @@ def _saved(campaign: Campaign, case: Case, verdict: Verdict, number: int) -> str
     if again.signature == verdict.signature and verdict.outcome not in ("hang", "late"):
         chosen = minimised(chosen, again, lambda one: judge_once(one, campaign.plant))
     target = campaign.out / f"{case['kind']}-{campaign.seed}-{number}.json"
-    note = f"python -m experiments.fuzz --replay {target}" + (f" --plant {campaign.plant}" if campaign.plant else "")
+    note = f"python -m experiments.fuzz --lanes {campaign.lanes} --replay {target}"
+    note += f" --plant {campaign.plant}" if campaign.plant else ""
     save_case(target, chosen, verdict, note)
     return str(target)
 

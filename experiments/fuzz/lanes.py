@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
@@ -26,7 +27,7 @@ from optdock.model.trajectory import Trajectory
 from optdock.verification import certify_motion, certify_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     import numpy as np
 
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["LANES", "compares_lanes", "is_repeated", "motion_differs", "path_differs", "repeated", "set_lanes"]
+__all__ = ["LANES", "compares_lanes", "is_repeated", "motion_differs", "path_differs", "repeated", "using_lanes"]
 
 Lanes: TypeAlias = Literal["own", "twin", "both"]
 LANES: tuple[str, ...] = get_args(Lanes)
@@ -50,9 +51,15 @@ class _OfProcess:
     lanes: Lanes = "own"
 
 
-def set_lanes(lanes: Lanes) -> None:
-    """Set the lanes of this process."""
-    _OfProcess.lanes = lanes
+@contextlib.contextmanager
+def using_lanes(lanes: Lanes) -> Iterator[None]:
+    """Judge cases in these lanes within the context, and then in those before."""
+    before, _OfProcess.lanes = _OfProcess.lanes, lanes
+    try:
+        with using_kernels("twin") if lanes == "twin" else contextlib.nullcontext():
+            yield
+    finally:
+        _OfProcess.lanes = before
 
 
 def compares_lanes() -> bool:

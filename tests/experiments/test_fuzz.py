@@ -10,13 +10,14 @@ import pytest
 import shapely
 from scipy.special import fresnel
 
+from experiments.families import instance
 from experiments.fuzz import lanes
 from experiments.fuzz.__main__ import main
 from experiments.fuzz.campaign import judge_once
 from experiments.fuzz.case import Verdict, load_case, rng_of, save_case
-from experiments.fuzz.doors import path_of
+from experiments.fuzz.doors import path_of, problem_spec
 from experiments.fuzz.generators.carved import required_between
-from experiments.fuzz.kinds import KINDS, paths
+from experiments.fuzz.kinds import KINDS, paths, plans
 from experiments.fuzz.minimise import minimised
 from experiments.fuzz.oracle.cells import Cells, leak
 from experiments.fuzz.oracle.motion import cut, motion_of
@@ -26,6 +27,7 @@ from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.oracle.views import views
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.planted import PLANTS
+from optdock.kernels import kernels_lane
 
 ROOT = Path(__file__).resolve().parents[2]
 SQUARE = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]
@@ -337,6 +339,16 @@ def test_a_saved_case_can_be_replayed(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().out.startswith(("false certificate", "overclaimed bound"))
 
 
+@pytest.mark.parametrize(("lane", "status"), [("own", 0), ("both", 1)])
+def test_a_case_is_replayed_in_the_given_lanes(tmp_path, monkeypatch, lane, status):
+    monkeypatch.setattr("experiments.fuzz.campaign.prepare", lambda: None)
+    honest = lanes.certify_path
+    monkeypatch.setattr(lanes, "certify_path", lambda *asked: replace(honest(*asked), min_clearance=math.nan))
+    target = tmp_path / "found.json"
+    save_case(target, scene([clothoid([0.0, 1.0], [0.0, 0.0])]), Verdict("kernel differs"), "")
+    assert main(["--replay", str(target), "--lanes", lane]) == status
+
+
 def test_a_campaign_counts_its_cases_and_ends_by_count(tmp_path, capsys):
     options = ["--kinds", "trajectories", "--count", "5", "--jobs", "1", "--seed", "0", "--out", str(tmp_path)]
     status = main(options)
@@ -397,9 +409,8 @@ def test_requirement_within_the_steps_of_a_witness(rule):
 
 @pytest.fixture
 def both_lanes():
-    lanes.set_lanes("both")
-    yield
-    lanes.set_lanes("own")
+    with lanes.using_lanes("both"):
+        yield
 
 
 def test_lanes_are_compared_and_a_difference_is_found(both_lanes, monkeypatch):
@@ -416,6 +427,25 @@ def test_lanes_are_compared_and_a_difference_is_found(both_lanes, monkeypatch):
     found = paths.judge(case)
     assert found.signature == "kernel differs: certify_path min_clearance"
     assert found.evidence["clearance"][0] == pytest.approx(0.2 - 1e-3)
+
+
+@pytest.mark.parametrize("longest", plans._COUNTED)
+def test_a_budget_that_ends_in_one_lane_alone_is_no_difference_of_the_lanes(both_lanes, monkeypatch, longest):
+    honest, asked = plans.plan_dock, []
+
+    def other(problem, time_budget):
+        """Plan the motion of a slower robot by NumPy within budgets up to `longest`."""
+        asked.append(time_budget)
+        if kernels_lane() == "twin" and time_budget <= longest:
+            limits = replace(problem.robot.limits, max_speed=0.9 * problem.robot.limits.max_speed)
+            problem = replace(problem, robot=replace(problem.robot, limits=limits))
+        return honest(problem, time_budget=time_budget)
+
+    case = {**problem_spec(instance("open_s", 0).problem), "kind": "plans", "budget": 5.0, "repeated": True}
+    monkeypatch.setattr(plans, "plan_dock", other)
+    found = plans.judge(case)
+    assert found.outcome == ("certified" if longest == plans._COUNTED[0] else "kernel differs")
+    assert asked == [5.0, *np.repeat(plans._COUNTED, 2)]
 
 
 def test_a_further_requirement_without_room_is_not_certified(monkeypatch):
