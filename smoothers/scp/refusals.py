@@ -267,7 +267,7 @@ def refuse_terms_at_ends(
     start, goal, straight = problem.start, problem.goal, problem.dock.final_straight
     first, last, fixed = int(path.segments[0].direction), int(path.segments[-1].direction), {"x", "y", "yaw", "gear"}
     steps = 0 if after is None else max(1, math.ceil(straight / SPACING))
-    back, points = straight / max(1, steps) * np.arange(steps, -1, -1), np.empty((2 + steps, len(SYMBOLS)))
+    back, points = straight / max(1, steps) * np.arange(1 + steps), np.empty((2 + steps, len(SYMBOLS)))  # goal first
     points[0] = start.x, start.y, start.yaw, problem.start_curvature or 0.0, 0.0, 0.0, first
     away = -last * math.cos(goal.yaw), -last * math.sin(goal.yaw), 0.0, 0.0, 0.0, 1.0, 0.0
     points[1:] = back[:, None] * away + (goal.x, goal.y, goal.yaw, 0.0, 0.0, after or 0.0, last)

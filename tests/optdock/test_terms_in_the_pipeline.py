@@ -78,6 +78,7 @@ def on_the_straight(p):
         (lambda p: p.x - 0.5, "auto"),
         (lambda p: 2.9 - p.x, "auto"),
         (lambda p: p.remaining - 0.1, "auto"),
+        (lambda p: casadi.if_else(p.x > 1.0, p.y - 5.0, 1.0), "auto"),  # equally low on the whole straight
         (on_the_straight, "forward"),
     ],
 )
