@@ -9,6 +9,7 @@ hide a deep overlap of their unions, the unions are also checked (`contact_toler
 from __future__ import annotations
 
 import functools
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from optdock.geometry.separation import separation
 from optdock.verification.contact_tolerance import DEPTH, deepest
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.obstacles import ObstacleSet
@@ -130,8 +133,14 @@ class BoundedBody(NamedTuple):
 
 def bounded(bodies: tuple[ConvexBody, ...]) -> tuple[BoundedBody, ...]:
     """Return bodies with their bounding circles."""
-    reach = (float(np.max(np.hypot(*body.vertices.T))) for body in bodies)
-    return tuple(BoundedBody(body, *_bounding_circles(body), far) for body, far in zip(bodies, reach, strict=True))
+    if not bodies:
+        return ()
+    corners = np.concatenate([body.vertices for body in bodies])
+    starts = np.cumsum([0, *(len(body.vertices) for body in bodies[:-1])])
+    lower, upper = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
+    reach = np.maximum.reduceat(np.hypot(*corners.T), starts)
+    boxes = zip(bodies, lower.tolist(), upper.tolist(), reach.tolist(), strict=True)
+    return tuple(BoundedBody(body, *_bounding_circles(low, high), far) for body, low, high, far in boxes)
 
 
 @functools.lru_cache(maxsize=64)
@@ -153,12 +162,12 @@ def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) ->
     return gaps
 
 
-def _bounding_circles(body: ConvexBody) -> tuple[FloatArray, float]:
-    """Return centres (k, 2) [m] and radius [m] of circles that each cover one part of the bounding box."""
-    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
-    size = high - low
-    longer = int(np.argmax(size))
-    count = int(np.clip(np.ceil(size[longer] / max(size[1 - longer], 1e-300)), 1, _MAX_CIRCLES))
-    centres = np.tile(0.5 * (low + high), (count, 1))
-    centres[:, longer] = low[longer] + size[longer] * (np.arange(count) + 0.5) / count
-    return centres, 0.5 * float(np.hypot(size[longer] / count, size[1 - longer]))
+def _bounding_circles(low: Sequence[float], high: Sequence[float]) -> tuple[FloatArray, float]:
+    """Return centres (k, 2) [m] and radius [m] of circles that each cover one part of a box with corners (2,) [m]."""
+    size = high[0] - low[0], high[1] - low[1]
+    longer = int(size[1] > size[0])
+    length, width = size[longer], size[1 - longer]
+    count = max(1, math.ceil(min(length / max(width, 1e-300), _MAX_CIRCLES)))
+    centres = np.array([[0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])]] * count)
+    centres[:, longer] = [low[longer] + length * (k + 0.5) / count for k in range(count)]
+    return centres, 0.5 * float(np.hypot(length / count, width))

@@ -15,11 +15,13 @@ from experiments.families import FAMILIES, instance
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.geometry.separation import ConvexBody
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.verification import clearance_kernel, end_clearances, pose_clearance, pose_clearances
+from optdock.verification.proximity import bounded
 
 BAR = Footprint.rectangle(0.9, 0.3, 0.4)
 DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
@@ -35,6 +37,24 @@ def test_a_near_post_is_not_hidden_by_far_bars_whose_boxes_reach_closer():
     clearance, row = pose_clearance(Pose2(0.0, 0.0, 0.0), BAR, obstacles)
     assert row == len(bars)
     assert clearance == pytest.approx(0.49, abs=1e-9)
+
+
+@given(seed=st.integers(0, 10**6), flat=st.booleans())
+def test_the_circles_of_a_body_cover_it_and_its_reach_is_that_of_its_farthest_corner(seed, flat):
+    """For several bodies at once, from a micrometre to 100 m in each direction; flat ones have no width."""
+    rng = np.random.default_rng(seed)
+    corners = [rng.normal(size=(rng.integers(3, 9), 2)) * 10.0 ** rng.uniform(-6.0, 2.0, 2) for _ in range(3)]
+    if flat:
+        corners[1][:, 1] = corners[1][0, 1]
+    bodies = tuple(ConvexBody(one, np.zeros_like(one), np.zeros(len(one))) for one in corners)
+    for body, found in zip(bodies, bounded(bodies), strict=True):
+        assert found.body is body
+        assert found.reach == np.hypot(*body.vertices.T).max()
+        inside = rng.dirichlet(np.ones(len(body.vertices)), 50) @ body.vertices
+        points = np.concatenate((body.vertices, inside))
+        apart = np.hypot(*(points[:, None] - found.centres).transpose(2, 0, 1))
+        assert apart.min(axis=1).max() <= found.radius * (1.0 + 1e-12)
+        assert len(found.centres) <= 3
 
 
 def test_the_deepest_of_many_overlaps_is_reported():
