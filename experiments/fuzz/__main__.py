@@ -115,9 +115,14 @@ def _replay(source: Path, plant: str | None, lanes: Lanes) -> int:
     from experiments.fuzz.case import load_case
     from experiments.fuzz.lanes import using_lanes
 
+    try:
+        case = load_case(source)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        print(f"--replay: {source} is no saved case: {type(error).__name__}: {error}", file=sys.stderr)
+        return 2
     prepare()
     with using_lanes(lanes):
-        verdict = judge_once(load_case(source), plant)
+        verdict = judge_once(case, plant)
     print(f"{verdict.outcome}: {verdict.detail}" if verdict.detail else verdict.outcome)
     return 1 if verdict.is_fault else 0
 

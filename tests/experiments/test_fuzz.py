@@ -349,6 +349,15 @@ def test_a_case_is_replayed_in_the_given_lanes(tmp_path, monkeypatch, lane, stat
     assert main(["--replay", str(target), "--lanes", lane]) == status
 
 
+@pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"case": '])
+def test_what_is_no_saved_case_is_not_replayed(tmp_path, capsys, text):
+    target = tmp_path / "found.json"
+    if text is not None:
+        target.write_text(text, encoding="utf-8")
+    assert main(["--replay", str(target)]) == 2
+    assert f"--replay: {target} is no saved case" in capsys.readouterr().err
+
+
 def test_a_campaign_counts_its_cases_and_ends_by_count(tmp_path, capsys):
     options = ["--kinds", "trajectories", "--count", "5", "--jobs", "1", "--seed", "0", "--out", str(tmp_path)]
     status = main(options)
