@@ -1,5 +1,6 @@
 """Starts in contact: a robot along a wall drives straight until it is clear of the wall."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -15,7 +16,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.segments import ClothoidSegment
+from optdock.model.segments import ClothoidSegment, Direction, PolylineSegment
 from optdock.planning.guess_edits import begun_straight, straight_along_contact
 
 CAR = Robot(Footprint.rectangle(0.7, 0.2, 0.6), MotionLimits(max_curvature=1.2, max_curvature_rate=6.0))
@@ -62,6 +63,15 @@ def test_no_straight_line_is_kept_where_there_is_no_contact_or_the_path_turns_in
     assert straight_along_contact(path, flush(start_curvature=0.2)) == 0.0
     assert straight_along_contact(path, flush(start_curvature=0.0)) > 0.0
     assert straight_along_contact(path.moved(Pose2(0.1, 0.0, 0.0)), flush()) == 0.0
+
+
+def test_a_guess_without_length_is_tried_without_an_error():
+    """A search with one gear fewer than 5 mm forth and back makes such a guess at the dock."""
+    problem = flush()
+    nowhere = Path((PolylineSegment(np.tile(FRAME.as_array(), (11, 1)), Direction.FORWARD),), "map")
+    assert straight_along_contact(nowhere, problem) == 0.0
+    at_goal = dataclasses.replace(problem, dock=Dock(FRAME), clearance=ClearanceRule(0.0, 0.0))
+    assert od.plan_dock(at_goal, time_budget=5.0, guesses=[nowhere]).tried[0].stage == "given"
 
 
 @pytest.mark.parametrize("gear", [1, -1])
