@@ -157,6 +157,18 @@ def test_dip_behind_a_long_wall_is_found(gap, length):
         assert found.margin.min() == pytest.approx(1e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize("length", np.linspace(1.13, 1.16, 7).tolist())
+def test_the_peak_of_the_requirement_between_samples_is_found(length):
+    """Along a wall at 10 cm, the requirement of the weaker rule rises from the start and falls with the tube to 0."""
+    wall = [[-2.0, 0.4], [4.0, 0.4], [4.0, 0.5], [-2.0, 0.5]]
+    path = [clothoid([0.0, length], [0.0, 0.0])]
+    case = scene(path, obstacles=[wall], clearance=[0.01, 0.0, 0.4], tracking=[0.3, 0.0])
+    fall, least = 0.31 / 0.4, 0.1 - 0.005
+    peak = least + 0.5 * ((fall * length + 0.5 - least) / (0.5 + fall) - 1.0)
+    found = sweep(case, motion_of(path), World.of(case), relief=1.0)
+    assert found.margin.min() == pytest.approx(0.1 - peak, abs=1e-6)
+
+
 def test_the_oracle_shares_no_code_with_the_library():
     names = ", ".join(
         f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing", "views", "cells")

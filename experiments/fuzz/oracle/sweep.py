@@ -209,14 +209,17 @@ class _Search:
         with np.errstate(over="ignore"):
             dip = 0.125 * (self.accel[piece] * width**2 + travel**2 / near)
         dip = np.minimum(dip, 0.5 * travel)
-        rule = min(0.5, abs(self._slope()))
-        least = np.minimum(m0, m1) - dip - rule * self.motion.way[piece] * width * 0.25
+        # A requirement that rises from the start and falls towards the goal exceeds its chord most where both meet.
+        slope = self._slope()
+        peak = 0.5 * slope / (0.5 + slope) * self.motion.way[piece] * width
+        least = np.minimum(m0, m1) - dip - peak
         hopeful = np.flatnonzero((least < best - _ENOUGH) & (width > 1e-9))
         return hopeful[np.argsort(least[hopeful], kind="stable")]
 
     def _slope(self) -> float:
+        """Return the slope of the requirement towards the goal; 0 if it jumps there."""
         required, at_dock, taper, _, _ = clearance_rule(self.case)
-        return (required - at_dock) / taper if taper > 0.0 else 0.0
+        return (required + tube(self.case) - at_dock) / taper if taper > 0.0 else 0.0
 
     def _refined(self, rows: tuple[Floats, ...]) -> tuple[tuple[Floats, ...], Sweep]:
         """Split every interval into parts: return the new table of intervals, and the samples."""
