@@ -265,6 +265,16 @@ class DockingProblem(FrozenArrays):
         """
         return self.robot.limits.start_wait(path) if self.start_curvature is None else 0.0
 
+    @property
+    def starts_at_rest(self) -> bool:
+        """Whether the robot has no speed and no acceleration at the start."""
+        return self.start_speed == 0.0 and self.start_acceleration == 0.0
+
+    @property
+    def may_turn_first(self) -> bool:
+        """Whether a path may begin with a turn in place, to which the curvature at the start does not apply."""
+        return self.robot.turns_in_place and self.starts_at_rest
+
     @cached_property
     def path_clearance(self) -> ClearanceRule:
         """Clearance rule of the path, which ensures `clearance` for every pose in the robot's tracking tube."""

@@ -52,7 +52,7 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     or if the path begins at another pose or does not lead straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
-    stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
+    stands = problem.starts_at_rest and not problem.start_curvature
     if not stands or isinstance(first, TurnSegment) or end_clearances(problem).start > _CONTACT:
         return 0.0
     stations = np.arange(0.0, first.length, _CONTACT_SPACING)

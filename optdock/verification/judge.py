@@ -239,7 +239,7 @@ def _check_path(segments: list[_Segment], ends: list[_Pose], proof: dict[str, An
     _hold(first in driven or start["speed"] == start["acceleration"] == 0.0, "turn: the robot begins at speed")
     orders = [(order, accumulate(one.length.lo for one in order)) for order in (driven, driven[::-1])]
     begun, ended = (next((one.gear for one, s in zip(*order, strict=True) if s > TOLERANCE), 0.0) for order in orders)
-    _hold(ended != {"forward": -1.0, "backward": 1.0, "auto": None}[dock["direction"]], "direction: gear at the dock")
+    _hold(ended != {"forward": -1, "backward": 1, "auto": None}[dock["direction"]], "direction: the gear at the dock")
     _hold(begun * start["speed"] >= 0.0, "direction: the robot moves in the other gear")
     for one in driven:
         most, rate = max(map(abs, one.bends)), max(rate.size for rate in one.rates)

@@ -89,7 +89,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
     if steered is not None and abs(steered) > limit * (1.0 + _TOLERANCE) + _TOLERANCE:  # as the certificate's rules
         message = f"the curvature at the start is {steered:.4g} 1/m, the limit is {limit:.4g} 1/m"
-        more = {"every_path": not _may_turn_first(problem)}
+        more = {"every_path": not problem.may_turn_first}
         return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message, more=more)
     first, last = path.segments[0].direction, path.segments[-1].direction
     wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
@@ -101,12 +101,6 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
         message = f"the robot moves at {problem.start_speed:.3g} m/s, the raw path begins in {first.name.lower()} gear"
         return Refusal("direction", 0.0, abs(problem.start_speed), "", message)
     return None
-
-
-def _may_turn_first(problem: DockingProblem) -> bool:
-    """Whether a path may begin with a turn in place, to which the curvature at the start does not apply."""
-    stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0
-    return problem.robot.turns_in_place and stands
 
 
 def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float) -> Refusal | None:
@@ -276,7 +270,7 @@ def refuse_terms_at_ends(
     known = fixed if problem.start_curvature is None else {*fixed, "curvature"}
     broken = _lowest(terms, values[:1], known)
     if broken is not None:
-        depends = {"gear", "curvature"} if _may_turn_first(problem) else {"gear"}
+        depends = {"gear", "curvature"} if problem.may_turn_first else {"gear"}
         is_certain = is_whole and depends.isdisjoint(broken[3].function.reads)
         message, more = f"{broken[1]} at the start", {"term": broken[3].name, "every_path": is_certain}
         message += f", where every path {'' if is_certain else 'in these gears '}begins"

@@ -114,7 +114,7 @@ def _seen_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: R
 def linearized_view(
     bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout, places: SeenPlaces
 ) -> ClearanceRows | None:
-    """Return the rows of the margins below `bound.reach`, or None if there are none."""
+    """Return one linearized constraint per margin smaller than `bound.reach`, or None if no margin is."""
     edge, place = np.nonzero(places.margin < bound.reach)
     if not edge.size:
         return None

@@ -114,15 +114,11 @@ def _differs(case: Case, problem: DockingProblem, plan: DockPlan | None, verdict
     wrong = motion_differs(plan.trajectory, problem)
     if wrong is None and case.get("repeated"):
         for budget in _COUNTED:
-            wrong = repeated(functools.partial(_planned, case, budget), plan_numbers)
+            wrong = repeated(lambda budget=budget: plan_dock(problem_of(case), time_budget=budget), plan_numbers)
             if wrong is None:
                 break
         verdict.checked["planned again by NumPy"] = 1
     return wrong
-
-
-def _planned(case: Case, budget: float) -> DockPlan:
-    return plan_dock(problem_of(case), time_budget=budget)
 
 
 def plan_numbers(plan: DockPlan) -> Case:

@@ -207,8 +207,7 @@ class Stages:
 
     def guesses(self) -> Iterator[Guess | None]:
         """Yield the guesses of all stages, the first of them after a few milliseconds."""
-        stands = self.problem.start_speed == 0.0 and self.problem.start_acceleration == 0.0
-        turns = self.problem.robot.turns_in_place and stands
+        turns = self.problem.may_turn_first
         most = self._better_than()
         if math.isfinite(most):
             distance = self.problem.start.distance_to(self.problem.goal)

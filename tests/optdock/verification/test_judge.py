@@ -533,7 +533,7 @@ def test_a_last_gear_of_a_tenth_of_a_micrometre_is_none():
     document["proof"]["dock"]["pose"] = [-2.0, 0.0, 0.0]
     cells = [{**part, "planes": [[] for _ in part["planes"]]} for part in document["proof"]["cells"]]
     document["proof"]["cells"] = [*cells, {"borders": [0.0, 1e-7], "planes": [[]]}]
-    assert "direction: gear at the dock" in refused(document)
+    assert "direction: the gear at the dock" in refused(document)
     document["proof"]["dock"]["direction"] = "backward"
     assert judge(json.dumps(document)).startswith("accepted")
 
