@@ -79,7 +79,6 @@ class PageSession:
         variant: int = 0,
         recorded: RecordedDocking | SurveyedFloor | None = None,
     ) -> None:
-        from bokeh.events import DocumentReady
         from bokeh.models import Div
         from tornado.ioloop import IOLoop
 
@@ -110,7 +109,8 @@ class PageSession:
         self.message = Div(text="", styles=_MESSAGE, stylesheets=[_GRADES.format(*map(self.view.ink, _GRADE_INKS))])
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
-        document.on_event(DocumentReady, lambda _: self.view.data.connect())
+        self._is_built = False  # whether the browser has built all parts of the page
+        self.data.on_change("text", lambda _, __, ___: self._built())  # changed by ui.js
         _compose(self, variant)
         self.process = RequestProcess(self._answered)
         document.on_session_destroyed(lambda _: self.process.close())
@@ -183,6 +183,16 @@ class PageSession:
         number = self._number
         self.document.add_timeout_callback(lambda: self._fade(number), _STALE)
 
+    def _built(self) -> None:
+        """Send the picture, and the answers that arrived while the browser built the page.
+
+        Answers wait because they add figures to the page, and the browser builds its views asynchronously. Bokeh's event
+        `DocumentReady` comes later than this: it also waits until every figure has been painted.
+        """
+        self._is_built = True
+        self.view.data.connect()
+        self._show_answers()
+
     # Answers.
 
     @contextlib.contextmanager
@@ -213,7 +223,11 @@ class PageSession:
         The callback is added by the loop itself: the end of a hold loses what another thread adds at this moment.
         """
         if self._loop is not None:
-            self._loop.add_callback(self.document.add_next_tick_callback, self._show_answers)
+            self._loop.add_callback(self.document.add_next_tick_callback, self._answer_arrived)
+
+    def _answer_arrived(self) -> None:
+        if self._is_built:
+            self._show_answers()
 
     def _show_answers(self) -> None:
         answers = self.process.answers()

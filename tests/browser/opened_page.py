@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE = 120.0  # [s]: longest wait for a state, on a busy machine
+PATIENCE = 60.0  # [s]: longest wait for a state, on a busy machine
 _PROGRAM = "from optdock.cli import main; main()"
 # Notes the state at each paint of the figure: fingerprints of the scene and of the answer, their layers and the time.
 _RECORD = """() => {
@@ -130,12 +130,14 @@ class OpenedPage:
         self.page = context.new_page()
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.errors = []
+        self.log = []  # of the console
+        self.page.on("console", lambda one: self.log.append(one.text))
         self.page.on("pageerror", lambda error: self.errors.append(f"page: {error}"))
         self.page.on("console", lambda one: self.errors.append(one.text) if one.type in ("error", "warning") else None)
         self.page.on("request", lambda one: None if self.is_own(one.url) else self.errors.append(f"request: {one.url}"))
         self.url = url
         self.page.goto(url)
-        self.page.wait_for_function("document.documentElement.dataset.ready === 'yes'")
+        self.wait("() => document.documentElement.dataset.ready === 'yes'")
         self.settle()
 
     def is_own(self, url):
@@ -170,7 +172,11 @@ class OpenedPage:
             "() => { const p = document.querySelector('#status p');"
             " return p && p.dataset.shown && p.dataset.scene === p.dataset.shown && p.dataset.doing === ''; }"
         )
-        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        self.page.evaluate(
+            "() => { window.framed = false;"
+            " requestAnimationFrame(() => requestAnimationFrame(() => { framed = true; })); }"
+        )
+        self.wait("() => framed")
 
     def settle_after(self, state):
         """Wait until the scene has another fingerprint and its answer is shown."""
@@ -188,7 +194,7 @@ class OpenedPage:
             self.page.wait_for_function(condition, arg=argument, timeout=1e3 * PATIENCE, polling=50)
         except PlaywrightTimeoutError as error:
             state = self.page.evaluate("() => ({ ...(document.querySelector('#status p') ?? {}).dataset })")
-            raise AssertionError(f"{condition} is not met: {state}, errors: {self.errors}") from error
+            raise AssertionError(f"{condition} is not met: {state}, console: {self.log}") from error
 
     def wait_for_message(self, part):
         self.wait("(part) => Bokeh.documents[0].get_model_by_name('message').text.includes(part)", part)

@@ -52,8 +52,8 @@
     if (gestures) gestures.constructor.press_threshold = 2 ** 31 - 1;
   }, {capture: true});
   const watch = setInterval(() => {
-    const opened = window.Bokeh?.documents[0];
-    if (!opened) return;
+    const opened = window.Bokeh?.documents[0], roots = opened?.roots() ?? [];
+    if (!roots.length || !roots.every((root) => root.id in window.Bokeh.index)) return; // the views are not built yet
     clearInterval(watch);
     opened.on_event("connection_lost", () => {
       const isLinked = Boolean(model("link")?.text);
@@ -61,6 +61,7 @@
       document.getElementById("unkept").hidden = isLinked;
       document.getElementById("lost").hidden = false;
     });
+    model("data").text = "built";
     document.documentElement.dataset.ready = "yes";
   }, 50);
 })();

@@ -79,6 +79,13 @@ def text_of(session):
     return " ".join(root.text for root in session.document.roots if isinstance(root, Div))
 
 
+async def built(server):
+    """Report what the browser reports when it has built the page."""
+    (session,) = sessions(server)
+    data = session.document.get_model_by_name("data")
+    await session.with_document_locked(lambda: data.update(text="built"))
+
+
 def test_an_answer_changes_the_document_in_the_thread_of_its_loop(served, monkeypatch):
     """`Document.unhold` loses a callback that another thread adds between two of its statements."""
     threads, add = set(), Document.add_next_tick_callback
@@ -89,10 +96,25 @@ def test_an_answer_changes_the_document_in_the_thread_of_its_loop(served, monkey
 
     async def visit(server):
         await fetched(server)
+        await built(server)
+        NoRequests.made.fetched.clear()
         monkeypatch.setattr(Document, "add_next_tick_callback", added)
         await asyncio.to_thread(NoRequests.made.on_answer)
         await NoRequests.made.fetched.wait()
         assert threads == {threading.current_thread()}
+
+    served(visit)
+
+
+def test_an_answer_waits_until_the_browser_has_built_the_page(served):
+    async def visit(server):
+        await fetched(server)
+        await asyncio.to_thread(NoRequests.made.on_answer)
+        for _ in range(5):
+            await asyncio.sleep(0.01)
+        assert not NoRequests.made.fetched.is_set()
+        await built(server)
+        assert NoRequests.made.fetched.is_set()
 
     served(visit)
 
