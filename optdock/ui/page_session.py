@@ -186,8 +186,8 @@ class PageSession:
     def _built(self) -> None:
         """Send the picture, and the answers that arrived while the browser built the page.
 
-        Answers wait because they add figures to the page, and the browser builds its views asynchronously. Bokeh's event
-        `DocumentReady` comes later than this: it also waits until every figure has been painted.
+        Answers wait because they add figures to the page, and the browser builds its views asynchronously. The event
+        `DocumentReady` of Bokeh comes later: it also waits until every figure has been painted.
         """
         self._is_built = True
         self.view.data.connect()
