@@ -133,7 +133,7 @@ ui-env: $(STAMP)
 
 test-ui: ui-env
 	@# A browser works in real time, as robots do. Without Chromium the tests are skipped, and pytest ends with 5, no tests.
-	$(BIN)/python .ci/retry.py --most 4 -- -q -rs tests/browser $(ARGS) || [ $$? -eq 5 ]
+	$(BIN)/python .ci/retry.py --most 2 -- -q -rs tests/browser $(ARGS) || [ $$? -eq 5 ]
 
 report-check: ui-env
 	$(BIN)/python docs/tools/browser_check.py $(ARGS)

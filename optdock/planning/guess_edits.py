@@ -59,7 +59,7 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     poses = path.poses_at(stations)
     along = np.array([math.cos(start[2]), math.sin(start[2])]) * stations[:, None] * int(first.direction)
     is_straight = np.abs(poses - start - np.column_stack((along, np.zeros(len(poses))))).max(axis=1) < _STRAIGHT
-    if not is_straight[:1].any():  # of a segment without length too
+    if not is_straight[:1].any():  # nor if the segment has no length
         return 0.0
     poses = poses[: len(poses) if is_straight.all() else int(is_straight.argmin())]
     clearances, _ = compiled_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)

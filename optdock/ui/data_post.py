@@ -31,7 +31,8 @@ for (const [name, columns] of Object.entries(changed)) sources[name].data = colu
 class DataPost:
     """Data sources that are changed together.
 
-    Attribute `columns`: the columns of every source, in which None is a number that is not finite.
+    Attributes: `columns`, the columns of every source, in which None is a number that is not finite; `is_connected`,
+    whether changes are sent as messages, see `connect`.
 
     Args:
         sources: The sources by their names.
@@ -40,7 +41,7 @@ class DataPost:
     def __init__(self, sources: Mapping[str, ColumnDataSource]) -> None:
         from bokeh.models import ColumnDataSource, CustomJS
 
-        self._sources, self._is_ready = dict(sources), False
+        self._sources, self.is_connected = dict(sources), False
         self.columns: dict[str, dict[str, Any]] = {name: {} for name in sources}
         self._waiting: dict[str, dict[str, Any]] = {}
         for source in sources.values():
@@ -50,7 +51,7 @@ class DataPost:
 
     def connect(self) -> None:
         """Send changes as messages from now on, and everything at once, as changes before may not have arrived."""
-        self._is_ready = True
+        self.is_connected = True
         self._waiting = {name: columns for name, columns in self.columns.items() if columns}
         self.send()
 
@@ -60,7 +61,7 @@ class DataPost:
         if plain == self.columns[name]:
             return
         self.columns[name] = plain
-        if self._is_ready:
+        if self.is_connected:
             self._waiting[name] = plain
         else:
             self._sources[name].data = {key: _with_gaps(column) for key, column in plain.items()}

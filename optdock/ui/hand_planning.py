@@ -130,8 +130,7 @@ class HandPlanning:
     def _deformed(self, scenario: Scenario, is_cancelled: Callable[[], bool]) -> DockPlan | None:
         """Return the plan along the deformed last path, unless it costs much more than the one that was planned."""
         problem = scenario.problem
-        is_moving = problem.start_speed != 0.0 or problem.start_acceleration != 0.0 or problem.start_curvature
-        if self._path is None or is_moving:
+        if self._path is None or not problem.starts_at_rest or problem.start_curvature:
             return None
         with suppress(InvalidPath):  # of another frame
             path = self._path.with_frame(problem.frame)

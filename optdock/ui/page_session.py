@@ -109,7 +109,6 @@ class PageSession:
         self.message = Div(text="", styles=_MESSAGE, stylesheets=[_GRADES.format(*map(self.view.ink, _GRADE_INKS))])
         self.floor = FloorView(self.view.axes, recorded if isinstance(recorded, SurveyedFloor) else None, variant)
         self.data = Div(visible=False, tags=[self.view.data.post])
-        self._is_built = False  # whether the browser has built all parts of the page
         self.data.on_change("text", lambda _, __, ___: self._built())  # changed by ui.js
         _compose(self, variant)
         self.process = RequestProcess(self._answered)
@@ -189,7 +188,6 @@ class PageSession:
         Answers wait because they add figures to the page, and the browser builds its views asynchronously. The event
         `DocumentReady` of Bokeh comes later: it also waits until every figure has been painted.
         """
-        self._is_built = True
         self.view.data.connect()
         self._show_answers()
 
@@ -220,14 +218,11 @@ class PageSession:
     def _answered(self) -> None:
         """Let the event loop of the page show the answers; called in another thread.
 
-        The callback is added by the loop itself: the end of a hold loses what another thread adds at this moment.
+        The callback is added by the loop itself: the end of a hold loses what another thread adds at this moment. An
+        answer that arrives before the page is built is shown by `_built`.
         """
-        if self._loop is not None:
-            self._loop.add_callback(self.document.add_next_tick_callback, self._answer_arrived)
-
-    def _answer_arrived(self) -> None:
-        if self._is_built:
-            self._show_answers()
+        if self._loop is not None and self.view.data.is_connected:
+            self._loop.add_callback(self.document.add_next_tick_callback, self._show_answers)
 
     def _show_answers(self) -> None:
         answers = self.process.answers()

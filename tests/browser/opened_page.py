@@ -130,15 +130,19 @@ class OpenedPage:
         self.page = context.new_page()
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.errors = []
-        self.log = []  # of the console
-        self.page.on("console", lambda one: self.log.append(one.text))
+        self.console = []  # all lines, those of `errors` among them
         self.page.on("pageerror", lambda error: self.errors.append(f"page: {error}"))
-        self.page.on("console", lambda one: self.errors.append(one.text) if one.type in ("error", "warning") else None)
+        self.page.on("console", self._said)
         self.page.on("request", lambda one: None if self.is_own(one.url) else self.errors.append(f"request: {one.url}"))
         self.url = url
         self.page.goto(url)
         self.wait("() => document.documentElement.dataset.ready === 'yes'")
         self.settle()
+
+    def _said(self, line):
+        self.console.append(line.text)
+        if line.type in ("error", "warning"):
+            self.errors.append(line.text)
 
     def is_own(self, url):
         return url.startswith((self.url.partition("?")[0], "data:", "blob:"))
@@ -172,6 +176,10 @@ class OpenedPage:
             "() => { const p = document.querySelector('#status p');"
             " return p && p.dataset.shown && p.dataset.scene === p.dataset.shown && p.dataset.doing === ''; }"
         )
+        self.wait_for_paint()
+
+    def wait_for_paint(self):
+        """Wait until the browser has painted what the page shows now."""
         self.page.evaluate(
             "() => { window.framed = false;"
             " requestAnimationFrame(() => requestAnimationFrame(() => { framed = true; })); }"
@@ -194,7 +202,8 @@ class OpenedPage:
             self.page.wait_for_function(condition, arg=argument, timeout=1e3 * PATIENCE, polling=50)
         except PlaywrightTimeoutError as error:
             state = self.page.evaluate("() => ({ ...(document.querySelector('#status p') ?? {}).dataset })")
-            raise AssertionError(f"{condition} is not met: {state}, console: {self.log}") from error
+            told = f"{state}, errors: {self.errors}, console: {self.console}"
+            raise AssertionError(f"{condition} is not met: {told}") from error
 
     def wait_for_message(self, part):
         self.wait("(part) => Bokeh.documents[0].get_model_by_name('message').text.includes(part)", part)

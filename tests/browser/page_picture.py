@@ -73,7 +73,7 @@ class Picture:
         shown = page.page.evaluate(_FRAME, name)
         height = page.page.viewport_size["height"]
         page.page.evaluate("(by) => scrollBy(0, by)", shown["top"] + 0.5 * shown["height"] - 0.5 * height)
-        page.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        page.wait_for_paint()
         self.frame = page.page.evaluate(_FRAME, name)
         image = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
         self.pixels = np.asarray(image).astype(int)
